@@ -85,7 +85,7 @@ def drive(
         offline_run.advance(settle)
     offline_run.instructor.add_path(offline_run.controller, path[:1])
     offline_run.advance(settle)
-    offline_run.instructor.reports.take()
+    offline_run.instructor.reports.take_reports()
     offline_run.instructor.add_path(offline_run.controller, path)
     t, tool, joints, targets = [], [], [], []
     end, reason, after = "", "", 0
@@ -96,7 +96,7 @@ def drive(
         tool.append(kinematics.forward(q)[1])
         joints.append(np.abs(session.state.v) / kinematics.velocity_limit)
         targets.append(kinematics.forward(offline_run.instructor.leading.coming.q)[1])  # type: ignore[union-attr]
-        for report in offline_run.instructor.reports.take():
+        for report in offline_run.instructor.reports.take_reports():
             end, reason = report.state.name, report.reason or reason
         after += end in ("REACHED", "REFUSED", "ABORTED", "UNREACHABLE")
     line = np.array(targets)

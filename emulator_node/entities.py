@@ -73,7 +73,7 @@ class SimulationEntities:
 
     def place(self) -> None:
         """Place all links as they are at this tick."""
-        self._links.place(*self._session.plant.machine_motion)
+        self._links.place_links(*self._session.plant.machine_motion)
 
     def fill(self, name: str, state: Any) -> None:
         """Fill an EntityState with the motion of an entity that was placed.
@@ -81,7 +81,7 @@ class SimulationEntities:
         Its acceleration is not known: NaN.
         """
         link = name if self.is_link(name) else self._links.names[0]
-        (p, quaternion), (v, omega) = self._links.pose(link), self._links.twist(link)
+        (p, quaternion), (v, omega) = self._links.get_pose(link), self._links.get_twist(link)
         set_stamp(state.header.stamp, self._session.logical_ns)
         state.header.frame_id = "world"
         _put(state.pose.position, p)

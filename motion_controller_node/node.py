@@ -186,7 +186,7 @@ class MotionControllerNode(ManagedNode):
         self._config = config
         if not self.configured:
             return
-        self._motion.retune(config)
+        self._motion.set_parameters(config)
         if self._controller is not None:
             self._controller.retune(config)
 
@@ -259,7 +259,7 @@ class MotionControllerNode(ManagedNode):
         return self._motion.reports.numbers[Kind.JOINT_TRAJECTORY]
 
     def _handle_cancel(self, number: int) -> None:
-        self._motion.cancel(number)
+        self._motion.cancel_trajectory(number)
         self._report_status()
 
     def _handle_servo_matched(self, info: QoSSubscriptionMatchedInfo) -> None:
@@ -319,7 +319,7 @@ class MotionControllerNode(ManagedNode):
         if self._answer is None:
             self._diagnostics.log.log_info("begun", "joint states arrive, targets are taken")
         self._now_ns = now
-        instruction = self._motion.instruct(controller, now, q, v, movable, tau)
+        instruction = self._motion.compute_setpoint(controller, now, q, v, movable, tau)
         self._report()
         self._report_status()
         self._orders.publish()
@@ -371,7 +371,7 @@ class MotionControllerNode(ManagedNode):
 
     def _report_status(self) -> None:
         """Publish the results of targets, trajectories and paths since the last time."""
-        for report in self._motion.reports.take():
+        for report in self._motion.reports.take_reports():
             if self._action is not None:
                 self._action.handle_report(report)
             message = MotionStatus(

@@ -102,7 +102,7 @@ class OrderTopics:
             take()
         except Refusal as reason:
             if reports.numbers[kind] == before:  # the executor has not received it
-                reports.refuse(kind, _read_stamp(header), reason)
+                reports.refuse_goal(kind, _read_stamp(header), reason)
             self._diagnostics.refuse(kind.topic, reason)
             refusal = reason
         else:
@@ -154,7 +154,7 @@ class OrderTopics:
             link = message.header.frame_id
             return make_twist_command(time_ns, twist, link, controller.kinematics, config)
 
-        self.take(Kind.JOG, message.header, lambda: self._motion.jog(command()))
+        self.take(Kind.JOG, message.header, lambda: self._motion.take_jog(command()))
 
     def _handle_joint_jog(self, message: Any) -> None:
         def command() -> JogCommand:
@@ -166,7 +166,7 @@ class OrderTopics:
             names, speeds = list(message.joint_names), message.velocities
             return make_joint_command(time_ns, names, speeds, controller.kinematics, config)
 
-        self.take(Kind.JOG, message.header, lambda: self._motion.jog(command()))
+        self.take(Kind.JOG, message.header, lambda: self._motion.take_jog(command()))
 
     def _read_jog(self, topic: str, header: Header) -> tuple[Controller, MotionConfig, int]:
         """Return controller, parameters and the logical time of a command [ns]."""

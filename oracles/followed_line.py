@@ -184,7 +184,7 @@ def _compute_wind_up(scene: Scene, q: Array, period: float) -> Array:
     a = np.gradient(v, period, axis=0)
     still = np.zeros(q.shape[1])
     rows = zip(q, v, a, strict=True)
-    return np.array([arm.at(*row, still).theta - row[0] for row in rows])
+    return np.array([arm.compute_drive(*row, still).theta - row[0] for row in rows])
 
 
 def _read_reference(run: OfflineRun) -> Array:

@@ -32,7 +32,7 @@ class Ideal:
 
     def advance(self, seconds: float) -> None:
         for _ in range(math.ceil(seconds * SECOND / self.period_ns)):
-            instruction = self.instructor.instruct(self.controller, self.now_ns, self.q)
+            instruction = self.instructor.compute_setpoint(self.controller, self.now_ns, self.q)
             self.printed.append(instruction)
             v = np.zeros_like(instruction.q) if instruction.v is None else instruction.v
             self.q = instruction.q + self.period_ns / SECOND * v

@@ -38,13 +38,15 @@ def test_it_is_pinocchio_in_rows(make: Callable[[], str]) -> None:
     arm, torques = ArmTree(kinematics, GRAVITY), LinkTorques(urdf, scene_free, GRAVITY)
     rng = np.random.default_rng(0)
     q, v, a = rng.normal(size=(3, 5, len(scene_free)))
-    p, R = arm.forward(q)
-    tau = arm.torques(q, v, a)
+    p, R = arm.compute_tool_poses(q)
+    tau = arm.compute_torques(q, v, a)
     for k in range(5):
         R_WT, p_WT = kinematics.forward(q[k])
         np.testing.assert_allclose(p[k], p_WT, atol=1e-12)
         np.testing.assert_allclose(R[k], R_WT, atol=1e-12)
-        np.testing.assert_allclose(tau[k], torques.at(q[k], v[k], a[k]), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(
+            tau[k], torques.compute_torques(q[k], v[k], a[k]), rtol=1e-9, atol=1e-9
+        )
 
 
 def test_a_trace_goes_through_its_poses() -> None:
@@ -54,9 +56,9 @@ def test_a_trace_goes_through_its_poses() -> None:
     start = np.array([-0.5, 0.6, 1.4, 0.3, -1.2, 0.2])
     R_WT, p_WT = kinematics.forward(start)
     p = p_WT + np.linspace(0.0, 1.0, 21)[1:, None] * [0.1, -0.05, 0.1]
-    q = arm.trace(start, p, np.repeat(R_WT[None], 20, axis=0))
+    q = arm.trace_poses(start, p, np.repeat(R_WT[None], 20, axis=0))
     np.testing.assert_array_equal(q[0], start)
-    np.testing.assert_allclose(arm.forward(q[1:])[0], p, atol=1e-9)
+    np.testing.assert_allclose(arm.compute_tool_poses(q[1:])[0], p, atol=1e-9)
 
 
 def _last_link(urdf: str) -> str:

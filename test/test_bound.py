@@ -285,7 +285,7 @@ def test_every_target_that_is_taken_gives_targets_that_a_servo_takes(scene: str)
         pose = Pose.from_quaternion(p, direction / np.linalg.norm(direction))
         executor = MotionExecutor()
         executor.add(0, pose)
-        POSITION.check("test", executor.instruct(controller, 0, np.array(q)).q)
+        POSITION.check("test", executor.compute_setpoint(controller, 0, np.array(q)).q)
 
 
 def test_an_executor_that_is_not_finite_restarts() -> None:
@@ -298,9 +298,11 @@ def test_an_executor_that_is_not_finite_restarts() -> None:
     ):
         executor = MotionExecutor()
         poison(executor)
-        assert np.array_equal(executor.instruct(run.controller, 0, q).q, q), "the arm is not held"
+        assert np.array_equal(executor.compute_setpoint(run.controller, 0, q).q, q), (
+            "the arm is not held"
+        )
         assert executor.restarts == 1 and executor.trouble
-        assert np.array_equal(executor.instruct(run.controller, 50_000_000, q + 1e-3).q, q)
+        assert np.array_equal(executor.compute_setpoint(run.controller, 50_000_000, q + 1e-3).q, q)
         assert executor.restarts == 1, "it has begun anew once"
 
 
@@ -313,7 +315,7 @@ def test_tool_targets_that_wait_for_their_time_are_bounded_in_number() -> None:
     with pytest.raises(Refusal, match=f"one of at most {MAX_TARGETS} that wait"):
         executor.add(0, target)
     executor.add(10**18, target)  # in place of the one for the same time
-    executor.instruct(run.controller, 10**18, run.session.scene.start)
+    executor.compute_setpoint(run.controller, 10**18, run.session.scene.start)
     executor.add(0, target)
 
 
@@ -334,7 +336,7 @@ def test_any_robot_of_numbers_is_refused_or_computed_with(seed: int, method: str
         executor, q = MotionExecutor(), np.array([0.1, 0.2, 0.3])
         executor.add(0, Pose(np.array([1.0, 2.0, 3.0]), np.eye(3)))
         for period in range(5):
-            instruction = executor.instruct(controller, period * 50_000_000, q)
+            instruction = executor.compute_setpoint(controller, period * 50_000_000, q)
             POSITION.check("test", instruction.q)
             if instruction.v is not None:
                 VELOCITY.check("test", instruction.v)

@@ -32,7 +32,7 @@ def sets_out(controller: TargetPlanner, target: Pose) -> np.ndarray:
             break
     assert controller.path_text
     motion = controller.motion
-    return np.array([motion.at(t).q for t in np.linspace(0.0, motion.duration, 200)])
+    return np.array([motion.evaluate_at(t).q for t in np.linspace(0.0, motion.duration, 200)])
 
 
 @pytest.mark.parametrize("seed", [0, 3, 25])
@@ -43,9 +43,9 @@ def test_angles_that_converge_slowly_are_no_goal_while_others_reach_the_target(s
     start, end = draw_configuration(rng, arm), draw_configuration(rng, arm)
     target = pose_of(arm, end)
     goal = InverseKinematics(arm)
-    goal.begin(start)
-    goal.aim(target, start)
-    goal.approach(120)
+    goal.set_posture(start)
+    goal.set_target(target, start)
+    goal.iterate_steps(120)
     assert not goal.settled and not goal.is_reached, "another seed"
     controller = law_of(arm, PERIOD)
     controller.begin(start)
@@ -67,14 +67,14 @@ def test_no_tool_goes_far_past_its_end(seed: int) -> None:
         arm = random_arm(rng, 6, slide=0.2)
         tree = ArmTree(arm, (0.0, 0.0, 0.0))
         start, end = draw_configuration(rng, arm), draw_configuration(rng, arm)
-        line = JointCurve.line(start, end)
+        line = JointCurve.make_line(start, end)
         if measure_overshoot(tree, line) < 10.0e-3:
             continue
         lines += 1
         arc = find_joint_arc(tree, start, end)
         if arc is not None:
             arcs += 1
-            q = arc.derivatives(np.linspace(0.0, 1.0, 500))[0]
+            q = arc.compute_derivatives(np.linspace(0.0, 1.0, 500))[0]
             np.testing.assert_allclose(q[[0, -1]], [start, end], atol=1e-12)
             assert (q > arm.lower - 1e-9).all() and (q < arm.upper + 1e-9).all()
             assert past(arm, q) < 1.1e-3  # between its looks
@@ -91,7 +91,7 @@ def test_no_tool_goes_far_past_its_end(seed: int) -> None:
 
 
 def angles(curve: JointCurve, parts: np.ndarray) -> np.ndarray:
-    return np.asarray(curve.derivatives(parts)[0])
+    return np.asarray(curve.compute_derivatives(parts)[0])
 
 
 def past(arm: Kinematics, path: np.ndarray) -> float:
@@ -121,7 +121,7 @@ def test_a_tool_rotates_in_the_opposite_sense_before_it_is_refused() -> None:
         paths = [curve for curve in both if isinstance(curve, JointCurve)]
         if len(paths) < 2:
             continue
-        at = wrist.forward(paths[0].derivatives(middle)[0][0])[1]
+        at = wrist.forward(paths[0].compute_derivatives(middle)[0][0])[1]
         box = Obstacle("box", size=(0.1, 0.1, 0.1), at=tuple(at))
         guard = CollisionGuard(arm, MotionConfig(tool=arm.tool, obstacles=(box,)))
         touched = [guard.find_contact_along(partial(angles, curve)) for curve in paths]
@@ -155,9 +155,9 @@ def test_a_redundant_arm_does_not_wait_for_a_slow_joint(seed: int) -> None:
         target = pose_of(alike, q + 0.1 * rng.normal(size=joints))
         goals = [InverseKinematics(arm) for arm in (alike, spared)]
         for goal in goals:
-            goal.begin(q)
-            goal.aim(target, q)
-            goal.approach(300)
+            goal.set_posture(q)
+            goal.set_target(target, q)
+            goal.iterate_steps(300)
         if goals[0].is_reached and goals[1].is_reached:
             result += 1
             moved += [abs(goal.q[slow] - q[slow]) for goal in goals]

@@ -231,7 +231,7 @@ def test_a_jog_halts_before_a_collision_and_leaves(seed: int) -> None:
             command = make_joint_command(0, names, speeds, arm.kinematics, config)
         for _ in range(12):
             now = dataclasses.replace(command, time_ns=arm.run.session.logical_ns)
-            arm.run.instructor.jog(now)
+            arm.run.instructor.take_jog(now)
             arm.advance(0.08)
             jog = arm.run.instructor.jogging
             codes.add(None if jog is None else jog.status)
@@ -270,7 +270,7 @@ def test_thin_plates_are_detected_wherever_they_are(margin: float) -> None:
         curve = JointCurve.fit_spline(nodes)
 
         def angles(part: np.ndarray, curve: JointCurve = curve) -> np.ndarray:
-            return np.asarray(curve.derivatives(part)[0])
+            return np.asarray(curve.compute_derivatives(part)[0])
 
         p = kinematics.forward(angles(rng.uniform(0.2, 0.8, 1))[0])[1]
         at, turn = p + rng.normal(0.0, [0.0, 0.0, 0.01]), (0.0, rng.uniform(-3.0, 3.0), 0.0)
@@ -316,9 +316,9 @@ def sent_down(arm: Arm, kind: str) -> list[GoalStatus]:
         elif kind == "jog":
             down, config = [0.0, 0.0, -0.3, 0.0, 0.0, 0.0], executor._config
             now = arm.run.session.logical_ns
-            executor.jog(make_twist_command(now, down, "", arm.kinematics, config))
+            executor.take_jog(make_twist_command(now, down, "", arm.kinematics, config))
         arm.advance(0.01)
-        reports += executor.reports.take()
+        reports += executor.reports.take_reports()
     return reports
 
 
@@ -342,7 +342,7 @@ def test_each_kind_of_order_is_refused_or_stopped_before(name: str, kind: str, b
     assert np.abs(arm.run.session.state.v).max() < 2e-3
     arm.run.instructor.add(0, Pose(arm.p_WT + np.array([0.0, 0.0, 0.03]), arm.R_WT))
     arm.advance(2.0)
-    assert arm.run.instructor.reports.take()[-1].state is GoalState.REACHED
+    assert arm.run.instructor.reports.take_reports()[-1].state is GoalState.REACHED
 
 
 def test_obstacles_need_shapes_that_meet_them() -> None:
@@ -376,7 +376,7 @@ def test_a_move_that_would_collide_is_refused_before_it_begins(seed: int) -> Non
         point = TrajectoryPoint(2_000_000_000, end, still)
         executor.add_trajectory(arm.run.controller, names, [point])
     arm.advance(4.0)
-    last = executor.reports.take()[-1]
+    last = executor.reports.take_reports()[-1]
     assert last.state in (GoalState.REFUSED, GoalState.REACHED), last
     if last.state is GoalState.REFUSED:
         assert "would touch at" in last.reason and "the tool at [" in last.reason

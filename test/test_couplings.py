@@ -198,7 +198,7 @@ def test_mimic_joints_between_base_and_tool_move_along(tmp_path: Path) -> None:
         np.testing.assert_allclose(kinematics.jacobian(p), J @ C, atol=1e-12)
         a = truth.accelerations(p, v, T)
         np.testing.assert_allclose(links.accelerations(p, v, T), a, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(torques.at(p, v, a), T, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(torques.compute_torques(p, v, a), T, rtol=1e-9, atol=1e-9)
     # 0 <= 0.5 p + 0.02 <= 0.4 and 0 <= 0.088 - 0.3 p <= 0.3, within 0 .. 0.6.
     assert kinematics.lower[2] == pytest.approx(0.0)
     assert kinematics.upper[2] == pytest.approx(0.088 / 0.3)

@@ -60,7 +60,7 @@ def test_rates_are_those_of_finite_differences(seed: int) -> None:
     links = LinkTorques(scene.urdf, scene.joint_names, GRAVITY)
     arm = ElasticArm(links, [sample_drive(rng) for _ in range(6)], NONE)
     motion, t, h = Motion(rng, 6), rng.uniform(0.0, 5.0), 1e-5
-    before, now, after = (arm.at(*motion.at(t + dt)) for dt in (-h, 0.0, h))
+    before, now, after = (arm.compute_drive(*motion.at(t + dt)) for dt in (-h, 0.0, h))
     # Central differences: of the second order in h, and rounding of 1e-16 / h.
     speeds = (after.theta - before.theta) / (2.0 * h)
     rates = (after.torque - before.torque) / (2.0 * h)
@@ -79,7 +79,7 @@ def test_gears_carry_the_torque_of_the_links(seed: int) -> None:
     links = LinkTorques(scene.urdf, scene.joint_names, GRAVITY)
     arm = ElasticArm(links, drives, NONE)
     q, v, a, jerk = Motion(rng, 6).at(rng.uniform(0.0, 5.0))
-    drive = arm.at(q, v, a, jerk)
+    drive = arm.compute_drive(q, v, a, jerk)
     w, rate = drive.theta - q, drive.omega - v
     for j, parameters in enumerate(drives):
         carried = (
@@ -90,7 +90,7 @@ def test_gears_carry_the_torque_of_the_links(seed: int) -> None:
         friction = parameters.viscous * v[j] + parameters.coulomb * np.sign(v[j])
         if abs(v[j]) < 0.1:
             continue
-        taken = links.at(q, v, a)[j] + friction
+        taken = links.compute_torques(q, v, a)[j] + friction
         # The damper's part of the second order: (D / K)^2 w'', 1.6e-7 s2 of torques of 6 rad/s.
         assert carried == pytest.approx(taken, rel=2e-4, abs=2e-2), j
 
@@ -109,7 +109,7 @@ def test_a_single_elastic_joint_is_that_of_the_closed_form() -> None:
         return [np.array([x]) for x in (s, rate * c, -(rate**2) * s, -(rate**3) * c)]
 
     for t in np.linspace(0.0, 1.0, 23):
-        begins, ends = arm.at(*motion(t)), arm.at(*motion(t + period))
+        begins, ends = arm.compute_drive(*motion(t)), arm.compute_drive(*motion(t + period))
         theta = size * math.sin(rate * t) - wind_up * math.sin(rate * t - slip)
         omega = rate * (size * math.cos(rate * t) - wind_up * math.cos(rate * t - slip))
         lag = (D * rate / K) ** 2 * wind_up  # what the law leaves out
@@ -117,7 +117,7 @@ def test_a_single_elastic_joint_is_that_of_the_closed_form() -> None:
         assert begins.omega[0] == pytest.approx(omega, abs=2.0 * rate * D * rate / K * wind_up)
         mean = inertia * rate * size * (math.cos(rate * (t + period)) - math.cos(rate * t)) / period
         # The cubic over a period is off by (rate period)^4 / 720 of the torque.
-        assert arm.over(begins, ends, period)[0] == pytest.approx(
+        assert arm.compute_mean_torques(begins, ends, period)[0] == pytest.approx(
             mean, abs=1e-6 * inertia * rate**2
         )
 
@@ -144,10 +144,14 @@ def test_motors_continue_without_a_jump_for_any_derivatives() -> None:
             now = Reference(*motion.at(k * T)[:derivatives]) if derivatives else None
             then = Reference(*motion.at((k + 1) * T)) if derivatives == 5 else None
             q = q if q_before is None else q_before
-            setpoint = feedforward.complete(JointSetpoint(q, (q_end - q) / T, None, now, then))
+            setpoint = feedforward.complete_setpoint(
+                JointSetpoint(q, (q_end - q) / T, None, now, then)
+            )
             assert setpoint.v is not None
             if derivatives == 5:  # however the jerk changes within the period
-                np.testing.assert_allclose(setpoint.q, arm.at(*motion.at(k * T)).theta, atol=1e-9)
+                np.testing.assert_allclose(
+                    setpoint.q, arm.compute_drive(*motion.at(k * T)).theta, atol=1e-9
+                )
             if end is not None:
                 np.testing.assert_allclose(setpoint.q, end, atol=1e-12)
             end, q_before = setpoint.q + T * setpoint.v, q + T * ((q_end - q) / T)
@@ -185,8 +189,8 @@ class Weighed:
     def period(self, q: float, v: float = 0.0, can: bool = True) -> tuple[float, float]:
         """Return by how much the motor is sent ahead, and the torque that is announced."""
         tau = np.array([self.weight(q) - self.load_at_rest])
-        self.feedforward.observe(tau, np.array([can]))
-        setpoint = self.feedforward.complete(JointSetpoint(np.array([q]), np.array([v])))
+        self.feedforward.observe_torques(tau, np.array([can]))
+        setpoint = self.feedforward.complete_setpoint(JointSetpoint(np.array([q]), np.array([v])))
         assert setpoint.tau is not None
         return float(setpoint.q[0] - q), float(setpoint.tau[0])
 
@@ -260,7 +264,7 @@ def test_a_joint_without_weight_is_taken_to_be_as_wrong_as_those_that_it_carries
         order = rng.permutation(n)
         urdf = "".join(text) + "</robot>"
         links = LinkTorques(urdf, [f"j{j}" for j in order], (0.0, 0.0, -9.81))
-        weight, wrong = links.at(np.zeros(n), np.zeros(n)), rng.uniform(0.6, 1.9, n)
+        weight, wrong = links.compute_torques(np.zeros(n), np.zeros(n)), rng.uniform(0.6, 1.9, n)
         load = RestLoad(np.zeros(n), np.full(n, 0.1), 0.01, links.outboard)
         for _ in range(1000):
             load.observe_rest(wrong * weight, weight)

@@ -95,8 +95,8 @@ def test_a_cancelled_trajectory_stops_or_never_begins(waiting: bool) -> None:
     stamp_ns = 5 * SECOND if waiting else 0
     number = arm.instructor.add_trajectory(arm.controller, arm.names, points, stamp_ns)
     arm.advance(0.5)
-    arm.instructor.cancel(number)
-    arm.instructor.cancel(number + 7)  # nobody's
+    arm.instructor.cancel_trajectory(number)
+    arm.instructor.cancel_trajectory(number + 7)  # nobody's
     arm.advance(6.0)
     assert arm.states()[-1] == ("JOINT_TRAJECTORY", 1, "ABORTED")
     assert arm.instructor.reports.waiting[-1].reason == "cancelled"

@@ -47,7 +47,7 @@ def test_impulses_leave_no_vibration_of_any_of_their_modes(seed: int) -> None:
     rng = np.random.default_rng(seed)
     modes = [draw_mode(rng) for _ in range(int(rng.integers(1, 4)))]
     for kind in ("zv", "zvd"):
-        shaper = InputShaper.design(kind, modes)
+        shaper = InputShaper.compute_shaper(kind, modes)
         assert (shaper.shares > 0.0).all() and shaper.shares.sum() == pytest.approx(1.0, abs=1e-14)
         assert shaper.times[0] == 0.0 and (np.diff(shaper.times) > 0.0).all()
         for mode in modes:
@@ -61,7 +61,7 @@ def test_a_wrong_frequency_leaves_the_swing_of_the_closed_form(off: float) -> No
     for frequency in 10 ** rng.uniform(0.0, 2.0, 10):
         true = ShapedMode(float(frequency * (1.0 + off)))
         for power, kind in enumerate(("zv", "zvd"), 1):
-            left = residual(InputShaper.design(kind, [ShapedMode(float(frequency))]), true)
+            left = residual(InputShaper.compute_shaper(kind, [ShapedMode(float(frequency))]), true)
             expected = abs(math.cos(0.5 * math.pi * (1.0 + off))) ** power
             assert left == pytest.approx(expected, abs=1e-12)
 
@@ -76,17 +76,17 @@ def run_bang(rng: np.random.Generator, top: float, period: float) -> list[Refere
         a = sign * a_0
         motion.append(Reference(q, v, a, np.zeros(2)))
         q, v = q + period * v + 0.5 * period**2 * a, v + period * a
-    return [*motion, *[Reference.at_rest(q)] * 60]
+    return [*motion, *[Reference.make_rest(q)] * 60]
 
 
 def shape(motion: list[Reference], shaper: InputShaper, period: float) -> list[JointSetpoint]:
-    shaped, still = ShapedReference(shaper, period), Reference.at_rest(motion[0].q)
-    shaped.shape(JointSetpoint(still.q, still.v, None, still, still))
+    shaped, still = ShapedReference(shaper, period), Reference.make_rest(motion[0].q)
+    shaped.filter_setpoint(JointSetpoint(still.q, still.v, None, still, still))
     instructions = []
     for now, then in zip(motion, [*motion[1:], motion[-1]], strict=True):
         end = Reference(then.q, then.v, now.a)  # the acceleration jumps at the end of the period
         instructions.append(
-            shaped.shape(JointSetpoint(now.q, (then.q - now.q) / period, None, now, end))
+            shaped.filter_setpoint(JointSetpoint(now.q, (then.q - now.q) / period, None, now, end))
         )
     return instructions
 
@@ -125,7 +125,9 @@ def test_a_shaped_motion_shakes_an_elastic_joint_as_its_impulses_state(
     w = 2.0 * math.pi * mode.frequency
     rate = complex(mode.damping * w, w * math.sqrt(1.0 - mode.damping**2))
     for factor in (1.0, 0.8, 0.9, 1.1, 1.2):
-        shaper = InputShaper.design(kind, [ShapedMode(factor * mode.frequency, mode.damping)])
+        shaper = InputShaper.compute_shaper(
+            kind, [ShapedMode(factor * mode.frequency, mode.damping)]
+        )
         rows = [instruction.now for instruction in shape(motion, shaper, period)]
         relative_swing = swing([row for row in rows if row is not None], period, mode) / unshaped
         expected = abs(shaper.shares @ np.exp(rate * shaper.times))
@@ -159,7 +161,7 @@ class IdealArm:
         self.executor.add_trajectory(self.planner, NAMES, points)
 
     def instruct(self, movable: Array | None = None) -> JointSetpoint:
-        answer = self.executor.instruct(self.planner, self.now_ns, self.q, self.v, movable)
+        answer = self.executor.compute_setpoint(self.planner, self.now_ns, self.q, self.v, movable)
         self.v = np.zeros(3) if answer.v is None else answer.v
         self.q, self.k = answer.q + PERIOD * self.v, self.k + 1
         return answer
@@ -179,7 +181,9 @@ def test_a_shaped_motion_keeps_limits_lines_and_end_and_is_reached_by_its_delay_
         for _ in range(260):
             instructions.append(arm.instruct())
             states.append(arm.executor.progress.state)
-        rows = [instruction.now or Reference.at_rest(instruction.q) for instruction in instructions]
+        rows = [
+            instruction.now or Reference.make_rest(instruction.q) for instruction in instructions
+        ]
         motion = (np.array([getattr(row, key) for row in rows]) for key in "qva")
         motions[name] = (*motion, states.index(GoalState.REACHED))
     delay = arm.config.design_shaper().delay
@@ -206,7 +210,7 @@ def test_the_delay_is_reported_and_tolerances_judge_the_shaped_motion() -> None:
     words = []
     for _ in range(200):
         arm.instruct()
-        words += [str(report) for report in arm.executor.reports.take()]
+        words += [str(report) for report in arm.executor.reports.take_reports()]
     delay = arm.config.design_shaper().delay
     assert any(f"{delay:.3g} s more by the shaper" in word for word in words), words
     assert arm.executor.progress.state is GoalState.REACHED and "aborted" not in " ".join(words)
@@ -226,7 +230,7 @@ def test_a_motion_replaced_while_moving_stays_smooth() -> None:
                 case 1:
                     arm.move(goal)
                 case _:
-                    arm.executor.jog(JogCommand(arm.now_ns, joints=goal - START))
+                    arm.executor.take_jog(JogCommand(arm.now_ns, joints=goal - START))
         expected = arm.q
         assert np.abs(arm.instruct().q - expected).max() < 1e-9, k
     assert arm.executor.restarts == 0 and not arm.v.any()
@@ -256,7 +260,7 @@ def test_another_shaper_is_taken_over_at_rest() -> None:
     delays = []
     for k in range(200):
         if k == 40:
-            arm.executor.retune(dataclasses.replace(arm.config, shaper="none"))
+            arm.executor.set_parameters(dataclasses.replace(arm.config, shaper="none"))
         expected = arm.q
         assert np.abs(arm.instruct().q - expected).max() < 1e-9, k
         delays.append(arm.executor._controllers.shaped.delay)  # type: ignore[union-attr]

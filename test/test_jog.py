@@ -63,7 +63,7 @@ class Jogged:
         for k in range(round(seconds / self.config.period)):
             if command is not None and k % every == 0:
                 time_ns = run.session.logical_ns
-                run.instructor.jog(dataclasses.replace(command, time_ns=time_ns))
+                run.instructor.take_jog(dataclasses.replace(command, time_ns=time_ns))
             run.advance(run.motion_ticks)
             self.q.append(run.session.state.q.copy())
             self.asked.append(run.drives.servo.state["q_target"] - run.wind_up)
@@ -239,14 +239,14 @@ def test_joints_stop_before_their_limits(seed: int) -> None:
     jerk = acceleration / rng.uniform(0.02, 0.1)
     middle = rng.uniform(-4.0, 4.0, n)  # limits may lie on one side of 0
     joints = JerkLimitedVelocity(middle - limit, middle + limit, velocity, acceleration, jerk, T)
-    joints.begin(Reference.at_rest(middle + rng.uniform(-0.9, 0.9, n) * limit))
+    joints.take_over(Reference.make_rest(middle + rng.uniform(-0.9, 0.9, n) * limit))
     moved = np.zeros(n)
     before = joints.now
     for _ in range(40):
         target = rng.normal(0.0, 3.0, n)
         for _ in range(rng.integers(1, 60)):
             now = joints.now
-            joints.accelerate(target * joints.limit_shares(now.q, target), alone=seed % 2 == 0)
+            joints.advance_towards(target * joints.limit_shares(now.q, target), alone=seed % 2 == 0)
             now = joints.now
             moved = np.maximum(moved, np.abs(now.v))
             assert (np.abs(now.q - middle) <= limit + 1e-8).all()
@@ -267,10 +267,10 @@ def test_a_gripper_of_a_few_millimetres_is_jogged_from_end_to_end() -> None:
     short = (arm.upper - arm.lower) < 0.1
     assert short.sum() == 1
     joints = make_jerk_limited_velocity(arm, config, config.jog_joint_limit_margin)
-    joints.begin(Reference.at_rest(np.where(short, 0.01, START)))
+    joints.take_over(Reference.make_rest(np.where(short, 0.01, START)))
     for velocity, end in ((0.02, 0.0275), (-0.02, 0.0075)):
         for _ in range(500):
-            joints.accelerate(
+            joints.advance_towards(
                 velocity * joints.limit_shares(joints.now.q, velocity * short) * short, alone=True
             )
         # It halts where little of the speed is left.

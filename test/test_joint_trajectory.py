@@ -27,7 +27,7 @@ KINDS = ("linear", "cubic", "quintic")
 
 
 def sample(motion: JointMotion, time_ns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    now = motion.at(time_ns * 1e-9)
+    now = motion.evaluate_at(time_ns * 1e-9)
     return now.q, now.v, now.a
 
 
@@ -70,7 +70,7 @@ def test_the_spline_and_its_derivatives_are_those_of_scipy(kind: str, seed: int)
     trajectory = JointTrajectory(NAMES, limits(), NAMES, points)
     q0, v0, a0 = rng.normal(size=(3, 4))
     start = int(rng.integers(0, SECOND))
-    motion = trajectory.begin(start, start, Reference(q0, v0, a0))
+    motion = trajectory.begin_motion(start, start, Reference(q0, v0, a0))
     t = np.array([0, *trajectory.times_ns]) * 1e-9
     expected = truth(
         kind,
@@ -95,7 +95,7 @@ def test_the_spline_and_its_derivatives_are_those_of_scipy(kind: str, seed: int)
 def test_a_trajectory_takes_over_from_another_without_a_jump(seed: int) -> None:
     rng = np.random.default_rng([seed, 2])
     first = JointTrajectory(NAMES, limits(), NAMES, draw(rng, "quintic", 4, 4))
-    running = first.begin(0, 0, Reference(*np.zeros((3, 4))))
+    running = first.begin_motion(0, 0, Reference(*np.zeros((3, 4))))
     kind = KINDS[seed % 3]
     some = rng.permutation(4)[: rng.integers(1, 5)]
     second = JointTrajectory(
@@ -105,7 +105,7 @@ def test_a_trajectory_takes_over_from_another_without_a_jump(seed: int) -> None:
     now = int(rng.integers(0, running.end_ns))
     start = now - int(rng.integers(0, second.times_ns[-1]))
     state = sample(running, now)
-    motion = second.begin(now, start, Reference(*state))
+    motion = second.begin_motion(now, start, Reference(*state))
     q, v, _ = sample(motion, 0)
     np.testing.assert_allclose(q, state[0], atol=1e-12, err_msg="angles at the moment of change")
     others = np.setdiff1d(np.arange(4), some)
@@ -146,7 +146,7 @@ def test_coming_to_rest_keeps_the_acceleration_and_goes_straight(seed: int) -> N
 def test_without_points_the_joints_come_to_rest() -> None:
     stop = JointTrajectory(NAMES, limits(), (), ())
     v = np.array([1.0, -2.0, 0.0, 0.5])
-    motion = stop.begin(5, 5, Reference(np.zeros(4), v, np.zeros(4)))
+    motion = stop.begin_motion(5, 5, Reference(np.zeros(4), v, np.zeros(4)))
     assert stop.is_stop and motion.end_ns == 200_000_000, "2 rad/s at 10 rad/s2 take 0.2 s"
     np.testing.assert_allclose(sample(motion, SECOND)[0], 0.1 * v, atol=1e-9, err_msg="v T / 2")
 
@@ -156,7 +156,7 @@ def test_a_continuous_joint_takes_the_short_path() -> None:
     turning = JointLimits(-infinite, infinite, ten, ten, np.ones(1, bool))
     points = [TrajectoryPoint(SECOND, [0.1]), TrajectoryPoint(2 * SECOND, [0.3])]
     trajectory = JointTrajectory(("a",), turning, ("a",), points)
-    motion = trajectory.begin(0, 0, Reference.at_rest(np.array([4.0 * np.pi - 0.2])))
+    motion = trajectory.begin_motion(0, 0, Reference.make_rest(np.array([4.0 * np.pi - 0.2])))
     for time, q in ((SECOND, 4.0 * np.pi + 0.1), (3 * SECOND, 4.0 * np.pi + 0.3)):
         assert sample(motion, time)[0][0] == pytest.approx(q), f"two turns on, at {time} ns"
 
@@ -212,13 +212,13 @@ def test_a_first_point_that_cannot_be_reached_in_time_is_refused_and_nothing_cha
     with pytest.raises(
         Refusal, match=r"the way to the first point must keep the limits of b, \+-1 "
     ):
-        trajectory.begin(0, 0, Reference.at_rest(np.zeros(4)))
-    motion = trajectory.begin(0, 0, Reference.at_rest(np.full(4, 1.5)))
+        trajectory.begin_motion(0, 0, Reference.make_rest(np.zeros(4)))
+    motion = trajectory.begin_motion(0, 0, Reference.make_rest(np.full(4, 1.5)))
     assert sample(motion, SECOND)[0].tolist() == [1.5, 2.0, 1.5, 1.5], "from nearer it is taken"
     with pytest.raises(
         Refusal, match="time of the last point must be still to come, got 1 s, at 1"
     ):
-        trajectory.begin(SECOND, 0, Reference.at_rest(np.zeros(4)))
+        trajectory.begin_motion(SECOND, 0, Reference.make_rest(np.zeros(4)))
 
 
 def point(time: int = SECOND, **fields: Any) -> TrajectoryPoint:
@@ -286,7 +286,7 @@ def test_random_numbers_are_refused_or_lead_to_finite_angles(seed: int) -> None:
         huge = limits(n, speed=np.inf, reach=np.inf)
         try:
             trajectory = JointTrajectory(NAMES[:n], huge, NAMES[:n], points, may_end_moving=True)
-            motion = trajectory.begin(0, 0, Reference.at_rest(np.zeros(n)))
+            motion = trajectory.begin_motion(0, 0, Reference.make_rest(np.zeros(n)))
         except Refusal:
             continue
         for at in rng.integers(0, motion.end_ns + 2, 5):

@@ -42,12 +42,12 @@ def planned(
     names = planner.kinematics.joint_names
     limits = make_joint_limits(planner.kinematics, config(**more))
     trajectory = JointTrajectory(names, limits, names, points)
-    return fit_trajectory(planner, trajectory, 0, 0, now or Reference.at_rest(START), scaled)
+    return fit_trajectory(planner, trajectory, 0, 0, now or Reference.make_rest(START), scaled)
 
 
 def judge(planner: TargetPlanner, motion: JointMotion | StretchedTrajectory) -> np.ndarray:
     times = np.linspace(0.0, motion.duration, 4001)
-    observed = [motion.at(float(t)) for t in times]
+    observed = [motion.evaluate_at(float(t)) for t in times]
     q, v, a = (np.array([getattr(row, key) for row in observed]) for key in "qva")
     assert (np.abs(v) <= planner.limits.speed * (1 + 1e-6)).all(), "speed"
     assert (np.abs(a) <= planner.limits.acceleration * (1 + 1e-6)).all(), "acceleration"
@@ -68,7 +68,7 @@ def test_a_trajectory_within_the_limits_keeps_its_times() -> None:
     ]
     motion = planned(law(), points)
     assert isinstance(motion, JointMotion) and motion.end_ns == 2 * SECOND
-    np.testing.assert_allclose(motion.at(1.0).q, START + 0.2, atol=1e-12)
+    np.testing.assert_allclose(motion.evaluate_at(1.0).q, START + 0.2, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", with_slow(some(range(12), 4), 1))
@@ -111,7 +111,7 @@ def test_a_trajectory_from_motion_comes_to_rest_first_where_it_must_be_slower() 
     planner = law()
     now = Reference(START, np.full(6, 0.5), np.zeros(6), np.zeros(6))
     motion = planned(planner, [TrajectoryPoint(SECOND // 5, START + 0.5)], now=now)
-    first = motion.at(0.0)
+    first = motion.evaluate_at(0.0)
     np.testing.assert_allclose(first.v, now.v, atol=1e-9)
     q = judge(planner, motion)
     np.testing.assert_allclose(q[-1], START + 0.5, atol=1e-9)

@@ -161,7 +161,7 @@ def test_no_request_is_lost_in_silence(seed: int) -> None:
                 arm.instructor.add_path(arm.controller, poses, time_ns)
         except Refusal as reason:
             if kind is Kind.TOOL_TARGET:
-                arm.instructor.reports.refuse(kind, time_ns, reason)
+                arm.instructor.reports.refuse_goal(kind, time_ns, reason)
         arm.advance(rng.uniform(0.0, 0.5))
     arm.instructor.start_over("test")
     for kind, count in requested.items():
@@ -211,7 +211,7 @@ def test_a_trajectory_waits_for_its_stamp_and_then_keeps_its_times() -> None:
 
 def test_a_trajectory_that_cannot_begin_is_refused_and_its_predecessor_goes_on() -> None:
     arm = Ideal()
-    arm.instructor.retune(dataclasses.replace(arm.config, trajectory_limits="refuse"))
+    arm.instructor.set_parameters(dataclasses.replace(arm.config, trajectory_limits="refuse"))
     arm.instructor.add(0, arm.pose((0.05, 0.0, 0.0)))
     arm.advance(0.1)
     arm.instructor.add_trajectory(arm.controller, arm.names, [arm.point(0.02, 1.0)])
@@ -241,10 +241,14 @@ def test_an_arm_that_does_not_follow_ends_the_trajectory_where_it_is(
     allowed: float, state: GoalState
 ) -> None:
     arm = Ideal()
-    arm.instructor.retune(type(arm.config)(**{**vars(arm.config), "path_tolerance": allowed}))
+    arm.instructor.set_parameters(
+        type(arm.config)(**{**vars(arm.config), "path_tolerance": allowed})
+    )
     arm.instructor.add_trajectory(arm.controller, arm.names, [arm.point(1.0, 0.15)])
     for tick in range(150):  # the arm does not move at all
-        arm.printed.append(arm.instructor.instruct(arm.controller, tick * arm.period_ns, arm.start))
+        arm.printed.append(
+            arm.instructor.compute_setpoint(arm.controller, tick * arm.period_ns, arm.start)
+        )
     last = arm.instructor.reports.waiting[-1]
     assert last.state is state
     if state is GoalState.ABORTED:
@@ -256,11 +260,11 @@ def test_the_goal_tolerance_is_waited_for_as_long_as_is_allowed() -> None:
     for time, state in ((0.5, GoalState.ABORTED), (0.0, GoalState.MOVING)):
         arm = Ideal()
         change = {"goal_tolerance": 0.01, "goal_time": time}
-        arm.instructor.retune(type(arm.config)(**{**vars(arm.config), **change}))
+        arm.instructor.set_parameters(type(arm.config)(**{**vars(arm.config), **change}))
         arm.instructor.add_trajectory(arm.controller, arm.names, [arm.point(0.5, 0.05)])
         for tick in range(300):
             q = arm.start if tick < 200 or state is GoalState.ABORTED else arm.start + 0.045
-            arm.instructor.instruct(arm.controller, tick * arm.period_ns, q)
+            arm.instructor.compute_setpoint(arm.controller, tick * arm.period_ns, q)
             if tick == 199:
                 assert arm.instructor.reports.waiting[-1].state is state, f"goal_time {time} s"
         expected = GoalState.ABORTED if state is GoalState.ABORTED else GoalState.REACHED
@@ -289,7 +293,9 @@ def test_the_torques_sent_are_those_of_gravity_at_the_links(seed: int) -> None:
             for side in (1.0, -1.0)
         )
         # Central differences of some 10 J: rounding 1e-15 / 1e-6.
-        assert torques.at(q, np.zeros(6))[j] == pytest.approx((high - low) / (2 * h), abs=1e-6)
+        assert torques.compute_torques(q, np.zeros(6))[j] == pytest.approx(
+            (high - low) / (2 * h), abs=1e-6
+        )
 
 
 def test_feedforward_is_sent_as_it_is_configured() -> None:
@@ -306,7 +312,9 @@ def test_feedforward_is_sent_as_it_is_configured() -> None:
         )
         arm.advance(0.1)
         if torque:
-            np.testing.assert_allclose(arm.printed[0].tau, gravity.at(arm.start, np.zeros(6)))
+            np.testing.assert_allclose(
+                arm.printed[0].tau, gravity.compute_torques(arm.start, np.zeros(6))
+            )
         arm.instructor.add(0, arm.pose((0.1, 0.0, 0.0)))
         arm.advance(0.2)
         assert (arm.printed[-1].v is not None, arm.printed[-1].tau is not None) == (

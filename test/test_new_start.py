@@ -53,6 +53,8 @@ def test_no_parts_touch_at_the_start_where_a_pose_without_contact_exists(
     scene, motion = load_scene(file), load_motion_config(find_beside(file, "motion"))
     tested = Collisions(scene.urdf, scene.joint_names, (), MotionConfig().collision_margin)
     assert not tested.find_first_contact(scene.start)
-    touching = [bool(tested.find_first_contact(tested.sample(rng))) for _ in range(100)]
+    touching = [
+        bool(tested.find_first_contact(tested.sample_configuration(rng))) for _ in range(100)
+    ]
     collisions = "stop" if tested.pairs else "auto"
     assert motion.collisions == collisions or np.mean(touching) > 0.7, "touching nearly everywhere"

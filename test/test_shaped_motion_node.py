@@ -61,5 +61,5 @@ def test_a_shaped_motion_has_the_same_bits_over_topics_and_its_shaper_is_set_at_
         assert node._config == dataclasses.replace(config, where=node._config.where)
         assert put("shaper", "zv") == ""
         nodes.run_to(1600)
-        expected = InputShaper.design("zv", config.modes)
+        expected = InputShaper.compute_shaper("zv", config.modes)
         assert node._motion._controllers.shaped.delay == expected.delay

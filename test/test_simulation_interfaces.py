@@ -208,7 +208,7 @@ def test_entities_are_the_arm_and_its_links(simulation: Simulation) -> None:
     user = simulation.user
     user.wait("the truth", lambda: user.truth)
     answer = simulation.call(GetEntitiesStates, "get_entities_states")
-    links.place(np.array(user.truth.position), np.array(user.truth.velocity))
+    links.place_links(np.array(user.truth.position), np.array(user.truth.velocity))
     assert list(answer.entities) == everything
     for name, state in zip(answer.entities, answer.states, strict=True):
         single = simulation.call(
@@ -217,7 +217,7 @@ def test_entities_are_the_arm_and_its_links(simulation: Simulation) -> None:
         assert single.state.pose == state.pose and single.result.result == Result.RESULT_OK
         if name in links.names:
             p = state.pose.position
-            assert np.abs(links.pose(name)[0] - (p.x, p.y, p.z)).max() < 1e-12
+            assert np.abs(links.get_pose(name)[0] - (p.x, p.y, p.z)).max() < 1e-12
         info = simulation.call(GetEntityInfo, "get_entity_info", GetEntityInfo.Request(entity=name))
         assert info.info.description and info.info.tags
         wrong = simulation.call(

@@ -59,7 +59,7 @@ class Stopped:
         self.asked: list[tuple[int, Reference]] = []  # tick and motion of the links
         self.ready = 0  # the first tick since the interruption at which all joints could move
         self.waited = 0  # the last tick at which it stood still, or came to rest
-        instruct = self.run.instructor.instruct
+        instruct = self.run.instructor.compute_setpoint
 
         def store(*arguments: Any) -> JointSetpoint:
             answer = instruct(*arguments)
@@ -67,7 +67,7 @@ class Stopped:
                 self.asked.append((len(self.links), answer.now))
             return answer
 
-        self.run.instructor.instruct = store  # type: ignore[method-assign, assignment]
+        self.run.instructor.compute_setpoint = store  # type: ignore[method-assign, assignment]
         self.run.advance(200)
 
     @property
@@ -97,7 +97,7 @@ class Stopped:
     @property
     def last(self) -> GoalState:
         """State of the newest order."""
-        return self.run.instructor.reports.take()[-1].state
+        return self.run.instructor.reports.take_reports()[-1].state
 
     def tool(self) -> np.ndarray:
         """The true tool at every tick (K, 3) [m]."""
@@ -184,7 +184,7 @@ def test_a_path_and_a_trajectory_go_on_from_where_they_were(seed: int) -> None:
             poses = [Pose(p_WT + part * TOOL_LINE, R_WT) for part in steps]
             # An arm that falls leaves its path, and would be stopped for it.
             config = dataclasses.replace(arm.run.instructor._config, tool_path_tolerance=0.0)
-            arm.run.instructor.retune(config)
+            arm.run.instructor.set_parameters(config)
             arm.run.instructor.add_path(arm.run.controller, poses)
             end = p_WT + TOOL_LINE
         arm.interrupted(off, away, 6 * SECOND)
@@ -206,12 +206,12 @@ def test_a_resumed_motion_keeps_its_limits_and_its_end(seed: int) -> None:
         np.inf * np.ones(N),
     )
     begin, end = rng.uniform(-2.0, 2.0, (2, N))
-    planned = TimedPath(JointCurve.line(begin, end), limits)
+    planned = TimedPath(JointCurve.make_line(begin, end), limits)
     since = rng.uniform(0.0, 1.05) * planned.duration
-    now = Reference.at_rest(planned.at(since).q + rng.normal(0.0, 0.05, N))
+    now = Reference.make_rest(planned.evaluate_at(since).q + rng.normal(0.0, 0.05, N))
     on = Resumed(planned, since, now, limits)
     times = np.linspace(0.0, on.duration, 800)
-    moves = [on.at(float(t)) for t in times]
+    moves = [on.evaluate_at(float(t)) for t in times]
     q, v, a = (np.array([getattr(move, name) for move in moves]) for name in "qva")
     assert np.abs(q[0] - now.q).max() < 1e-9 and np.abs(q[-1] - end).max() < 1e-6
     assert np.abs(v[[0, -1]]).max() < 1e-6
@@ -292,7 +292,7 @@ def test_speeds_without_a_path_to_rest_hold_the_arm() -> None:
     q, v = scene.start, np.array([-2.3, 247106.0, -1.5])
     can = np.array([True, False, True])
     for k, movable in enumerate((can, ~can, can)):
-        setpoint = run.instructor.instruct(run.controller, k * PERIOD_NS, q, v, movable)
+        setpoint = run.instructor.compute_setpoint(run.controller, k * PERIOD_NS, q, v, movable)
         np.testing.assert_array_equal(setpoint.q, q)
     assert run.instructor.restarts > 0 and "no way to take up the speeds" in run.instructor.trouble
     assert "\n" not in run.instructor.trouble

@@ -74,14 +74,14 @@ class LowArm:
         assert self.links.find_first_contact(self.run.session.state.q) == ""
         active = self.instructor._active
         assert active is not None
-        reference = active.order.reference(self.run.session.logical_ns)
+        reference = active.order.evaluate_reference(self.run.session.logical_ns)
         if reference is not None:
             assert self.commanded.find_first_contact(reference.q) == ""
 
     def periods(self, seconds: float) -> list[tuple[GoalState, str]]:
         for _ in range(round(seconds / self.config.period)):
             self.period()
-        return [(report.state, report.reason) for report in self.instructor.reports.take()]
+        return [(report.state, report.reason) for report in self.instructor.reports.take_reports()]
 
     def set_out(self, kind: str) -> None:
         """Begin the path, or the same as a joint trajectory."""
@@ -91,7 +91,7 @@ class LowArm:
         self.period()
         motion = self.run.controller.motion  # type: ignore[attr-defined]
         times = np.arange(0.02, motion.duration, 0.02)
-        moves = [(t, motion.at(t)) for t in (*times.tolist(), motion.duration)]
+        moves = [(t, motion.evaluate_at(t)) for t in (*times.tolist(), motion.duration)]
         points = [
             TrajectoryPoint(
                 round(t * 1e9), reference.q.tolist(), reference.v.tolist(), reference.a.tolist()
@@ -139,7 +139,7 @@ def test_a_motion_that_is_ended_stops_on_its_path(seed: int, end: str) -> None:
     assert arm.until_bound(int(rng.integers(1, 12)))
     below = arm.moved(0.0, 0.1, -0.2)
     if end == "cancel":
-        arm.instructor.cancel(arm.number)
+        arm.instructor.cancel_trajectory(arm.number)
     elif end == "target below":
         arm.instructor.add(0, below)
     elif end == "target above":
@@ -151,10 +151,14 @@ def test_a_motion_that_is_ended_stops_on_its_path(seed: int, end: str) -> None:
                 arm.instructor.add(0, arm.moved(0.0, 0.1, -0.1 - 2e-3 * k))
             elif end == "twist":
                 down = [0.0, 0.0, -0.5, 0.0, 0.0, 0.0]
-                arm.instructor.jog(make_twist_command(now, down, "", arm.kinematics, arm.config))
+                arm.instructor.take_jog(
+                    make_twist_command(now, down, "", arm.kinematics, arm.config)
+                )
             else:
                 names, v = arm.kinematics.joint_names, rng.normal(0.0, 1.0, 7)
-                arm.instructor.jog(make_joint_command(now, names, v, arm.kinematics, arm.config))
+                arm.instructor.take_jog(
+                    make_joint_command(now, names, v, arm.kinematics, arm.config)
+                )
             arm.period()
     reports = arm.periods(1.2)
     assert np.abs(arm.run.session.state.v).max() < 2e-3
@@ -172,7 +176,7 @@ class Swing:
     duration = 10.0
     _size, _rate = np.array([0.3, -1.1]), np.array([1.7, 0.6])
 
-    def at(self, time: float) -> Reference:
+    def evaluate_at(self, time: float) -> Reference:
         size, rate, angle = self._size, self._rate, self._rate * time
         return Reference(
             size * np.sin(angle),
@@ -190,14 +194,14 @@ def test_derivatives_at_another_pace_are_those_of_finite_differences(then: float
     ramp = 0.05  # s, the shortest change of a pace: no limit needs more
     h = 1e-3 * ramp
     for t in np.linspace(0.1, 0.9, 7) * ramp:
-        low, here, high = (paced.at(t + k * h) for k in (-1, 0, 1))
+        low, here, high = (paced.evaluate_at(t + k * h) for k in (-1, 0, 1))
         pairs = (low.q, high.q, here.v), (low.v, high.v, here.a), (low.a, high.a, here.jerk)
         for before, after, rate in pairs:
             # Differences are off by h^2 / 6 times the third derivative of what they are of.
             np.testing.assert_allclose(
                 (after - before) / (2.0 * h), rate, rtol=1e-4, atol=1e-5 / ramp**2
             )
-    with_change = paced.at(0.3 * ramp)
+    with_change = paced.evaluate_at(0.3 * ramp)
     assert with_change.jerk is not None and np.abs(with_change.a).max() > 1.0, "it changes the pace"
 
 
@@ -211,15 +215,17 @@ def test_a_motion_slows_down_within_its_limits(seed: int) -> None:
     )
     limits = JointPathLimits(v_limit, a_limit, jerk_limit, np.full(N, np.inf))
     begin, end = rng.uniform(-2.0, 2.0, (2, N))
-    planned = TimedPath(JointCurve.line(begin, end), limits)
+    planned = TimedPath(JointCurve.make_line(begin, end), limits)
     since = rng.uniform(0.0, 1.0) * planned.duration
     slow = TimeScaled(planned, since, 1.0, 0.0, limits)
     times = np.linspace(0.0, slow.duration, 400)
-    moves = [slow.at(float(t)) for t in times]
+    moves = [slow.evaluate_at(float(t)) for t in times]
     q, v, a = (np.array([getattr(move, name) for move in moves]) for name in "qva")
-    first = planned.at(since)
+    first = planned.evaluate_at(since)
     assert np.abs(q[0] - first.q).max() < 1e-9 and np.abs(v[0] - first.v).max() < 1e-9
-    assert np.abs(v[-1]).max() < 1e-6 and slow.at(slow.duration + 1.0).q == pytest.approx(q[-1])
+    assert np.abs(v[-1]).max() < 1e-6 and slow.evaluate_at(slow.duration + 1.0).q == pytest.approx(
+        q[-1]
+    )
     assert (np.abs(v) <= v_limit * 1.001).all() and (np.abs(a) <= a_limit * 1.001).all()
     # On the line, and forwards.
     part = (q - begin) @ (end - begin) / ((end - begin) @ (end - begin))

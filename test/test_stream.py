@@ -113,7 +113,7 @@ def test_a_stream_is_followed_closely(scene: str, period: float, seed: int) -> N
     arm.follow(at, 2.5, 200.0, stamped=True)
     assert max(arm.behind) < BEHIND
     arm.run.advance(2000)
-    assert arm.run.instructor.reports.take()[-1].state is GoalState.REACHED
+    assert arm.run.instructor.reports.take_reports()[-1].state is GoalState.REACHED
     assert np.linalg.norm(arm.tool() - at(2.5 - 1.0 / 200.0)) < 5e-4
 
 

@@ -56,7 +56,7 @@ def push(run: OfflineRun) -> None:
 
 
 def jog(run: OfflineRun) -> None:
-    run.instructor.jog(
+    run.instructor.take_jog(
         JogCommand(run.session.logical_ns, np.array([0.02, -0.03, 0.01, 0.0, 0.0, 0.0]))
     )
 

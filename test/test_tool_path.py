@@ -133,21 +133,21 @@ class Arm:
     def plan(
         self, path: ToolPath, now: Reference | None = None, scaled: bool = False
     ) -> MotionSequence:
-        return plan_path(self.law, path, now or Reference.at_rest(self.q), 0, scaled)
+        return plan_path(self.law, path, now or Reference.make_rest(self.q), 0, scaled)
 
     def tools(self, motion: MotionSequence, times: np.ndarray) -> np.ndarray:
-        return np.array([self.kinematics.forward(motion.at(t).q)[1] for t in times])
+        return np.array([self.kinematics.forward(motion.evaluate_at(t).q)[1] for t in times])
 
     def judge(self, motion: MotionSequence, times: np.ndarray) -> None:
         """Limits over all of the way, and that derivatives are those of the angles."""
         limits = self.law.limits
-        references = [motion.at(t) for t in times]
+        references = [motion.evaluate_at(t) for t in times]
         q, v, a = (np.array([getattr(reference, k) for reference in references]) for k in "qva")
         jerk = np.array([reference.jerk for reference in references])
         assert (np.abs(v) <= limits.speed * (1 + 1e-6)).all(), "speed"
         assert (np.abs(a) <= limits.acceleration * (1 + 1e-6)).all(), "acceleration"
         assert (np.abs(jerk) <= limits.jerk * (1 + 1e-3)).all(), "jerk"
-        tau = self.law.arm.torques(q, v, a)
+        tau = self.law.arm.compute_torques(q, v, a)
         assert (np.abs(tau) <= limits.torque * (1 + 1e-6)).all(), "torque"
         # Trapezoids over h: off by h^3 / 12 of the third derivative, of which the jerk bounds one.
         h = np.diff(times)[:, None]
@@ -184,9 +184,9 @@ def test_a_path_takes_a_moving_arm_over_without_a_jump(seed: int) -> None:
     rng = np.random.default_rng([seed, 5])
     arm = Arm()
     running = arm.plan(ToolPath([arm.drawn(rng) for _ in range(3)], LIMITS))
-    now = running.at(rng.uniform(0.1, 0.9) * running.duration)
+    now = running.evaluate_at(rng.uniform(0.1, 0.9) * running.duration)
     motion = arm.plan(ToolPath([arm.drawn(rng) for _ in range(2)], LIMITS), now)
-    first = motion.at(0.0)
+    first = motion.evaluate_at(0.0)
     for key in "qva":
         np.testing.assert_allclose(getattr(first, key), getattr(now, key), atol=1e-9)
     arm.judge(motion, np.linspace(0.0, motion.duration, 3000))
@@ -231,7 +231,7 @@ def test_stamped_poses_are_met_at_their_times() -> None:
     motion = arm.plan(ToolPath(poses, LIMITS, times_ns=times))
     assert motion.duration == pytest.approx(12.0)
     for time, target in zip(times, poses, strict=True):
-        p = arm.kinematics.forward(motion.at(time * 1e-9).q)[1]
+        p = arm.kinematics.forward(motion.evaluate_at(time * 1e-9).q)[1]
         np.testing.assert_allclose(p, target.p_WT, atol=1e-6, err_msg="at its time")
 
 
@@ -256,7 +256,7 @@ def test_a_tool_that_is_there_has_nothing_to_do() -> None:
     arm = Arm()
     motion = arm.plan(ToolPath([arm.home] * 3, LIMITS))
     assert motion.duration == 0.0
-    np.testing.assert_array_equal(motion.at(1.0).q, arm.q)
+    np.testing.assert_array_equal(motion.evaluate_at(1.0).q, arm.q)
 
 
 @pytest.mark.parametrize("blend", [0.0, 0.05])
@@ -290,7 +290,7 @@ def test_no_path_leads_to_numbers_that_are_not_finite(seed: int) -> None:
         for blend in (0.0, 10.0 ** rng.uniform(-9, 1)):
             motion = arm.plan(ToolPath(poses, LIMITS, arcs=arcs, blend=blend))
             for t in rng.uniform(0.0, motion.duration + 0.1, 20):
-                reference = motion.at(t)
+                reference = motion.evaluate_at(t)
                 assert np.isfinite([reference.q, reference.v, reference.a, reference.jerk]).all()
             p = arm.tools(motion, np.array([motion.duration]))[0]
             np.testing.assert_allclose(p, poses[-1].p_WT, atol=1e-7)

@@ -27,11 +27,13 @@ def test_limits_hold_where_the_third_derivative_of_their_curve_steps(case: int) 
         length, top, deceleration, jerk = rng.uniform(0.3, 3.0, 4)
         along = ToolPathLimits(length, top, deceleration, jerk, ends, rng.uniform(0.0, 5.0, 3))
     planned = TimedPath(curve, limits, along=along)
-    rows = [planned.at(t) for t in np.linspace(0.0, planned.duration, 4000)]
+    rows = [planned.evaluate_at(t) for t in np.linspace(0.0, planned.duration, 4000)]
     for key, limit in (("v", speed), ("a", acceleration), ("jerk", limits.jerk)):
         assert (np.abs([getattr(row, key) for row in rows]) / limit).max() <= 1.0 + 1e-2
     if along is not None:
-        places = np.array([planned.place(t) for t in np.linspace(0.0, planned.duration, 4000)])
+        places = np.array(
+            [planned.compute_distance(t) for t in np.linspace(0.0, planned.duration, 4000)]
+        )
         rate = np.gradient(places, planned.duration / 3999)
         assert rate.max() * along.length <= along.speed * (1.0 + 1e-3)
 

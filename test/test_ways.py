@@ -111,7 +111,7 @@ def test_limits_hold_for_any_target(seed: int) -> None:
         np.testing.assert_allclose(now.q, q, atol=1e-9, err_msg="the reference jumped")
         # Between periods, too: the motion that was promised at this one.
         for t in np.linspace(0.0, 1.0, 5):
-            reference = controller._motion.at(controller._time - period + t * period)
+            reference = controller._motion.evaluate_at(controller._time - period + t * period)
             for quantity in ("speed", "acceleration"):
                 share = np.abs(reference.v if quantity == "speed" else reference.a) / getattr(
                     limits, quantity
@@ -138,15 +138,15 @@ def test_a_line_keeps_position_limits_between_its_nodes(seed: int) -> None:
         curve = trace_line(tree, start, *ends, None)
         if not isinstance(curve, JointCurve):
             continue
-        nodes = curve.derivatives(curve.breaks)[0]
-        dense = curve.derivatives(np.linspace(0.0, 1.0, 20_001))[0]
+        nodes = curve.compute_derivatives(curve.breaks)[0]
+        dense = curve.compute_derivatives(np.linspace(0.0, 1.0, 20_001))[0]
         for j in np.flatnonzero(dense.max(axis=0) > nodes.max(axis=0) + 1e-6):
             before = arm.upper[j]
             arm.upper[j] = 0.5 * (dense[:, j].max() + nodes[:, j].max())
             assert curve.find_exit(arm.lower, arm.upper) is not None
             again = trace_line(tree, start, *ends, None)
             if isinstance(again, JointCurve):  # of more nodes
-                highest = again.derivatives(np.linspace(0.0, 1.0, 20_001))[0][:, j].max()
+                highest = again.compute_derivatives(np.linspace(0.0, 1.0, 20_001))[0][:, j].max()
                 assert highest <= arm.upper[j] + 2e-9
             arm.upper[j] = dense[:, j].max() + 1e-7  # between the samples
             assert curve.find_exit(arm.lower, arm.upper) is None
@@ -205,7 +205,7 @@ def test_a_tool_that_cannot_turn_evenly_goes_straight_all_the_same(seed: int) ->
             continue
         assert controller.path_text
         times = np.linspace(0.0, controller.motion.duration, 400)
-        p = np.array([arm.forward(controller.motion.at(t).q)[1] for t in times])
+        p = np.array([arm.forward(controller.motion.evaluate_at(t).q)[1] for t in times])
         line = (p[-1] - p[0]) / np.linalg.norm(p[-1] - p[0])
         past = float(((p - p[-1]) @ line).max())
         off = np.linalg.norm(p - p[0] - np.outer((p - p[0]) @ line, line), axis=1).max()

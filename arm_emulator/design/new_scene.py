@@ -452,7 +452,9 @@ def _choose_collisions(tested: Collisions | None, start: Array) -> tuple[str, st
     if touching := tested.find_first_contact(start):
         return "off", f"{touching} touch wherever it could start"
     rng = np.random.default_rng(0)
-    share = np.mean([bool(tested.find_first_contact(tested.sample(rng))) for _ in range(_SAMPLES)])
+    share = np.mean(
+        [bool(tested.find_first_contact(tested.sample_configuration(rng))) for _ in range(_SAMPLES)]
+    )
     if share > _MAX_SHARE:
         return "off", f"parts of the arm touch in {share:.0%} of its poses"
     return "stop", "before parts of the arm touch each other"

@@ -159,7 +159,9 @@ class OfflineRun(NonCopyable):
         v = drives.servo.v_measured[self._to_motion]
         tau = drives.servo.tau_measured[self._to_motion]
         can = drives.movable(session.powered)[self._to_motion]
-        target = self._target(self.instructor.instruct(self.controller, now, q, v, can, tau))
+        target = self._target(
+            self.instructor.compute_setpoint(self.controller, now, q, v, can, tau)
+        )
         self.aimed = target.q
         drives.aim(target)
 

@@ -153,7 +153,7 @@ def test_targets_trajectories_and_jogs_keep_the_joints_limits(machine: Machine) 
     along = make_twist_command(0, (0.0, 0.0, 0.05, 0.0, 0.0, 0.0), "", kinematics, gains.motion)
     for command in (along, make_joint_command(0, names[:1], (0.2,), kinematics, gains.motion)):
         for _ in range(100):
-            run.instructor.jog(dataclasses.replace(command, time_ns=run.session.logical_ns))
+            run.instructor.take_jog(dataclasses.replace(command, time_ns=run.session.logical_ns))
             run.go(0.01)
         run.go(1.0)
     assert np.linalg.norm(machine.tool(run.session.state.q).translation - before) > 0.02

@@ -112,7 +112,7 @@ class Collisions(SharedObject):
         """Return which two parts touch at q (N,), ``forearm_link and floor``; empty: none do."""
         with self._alone:
             touching = self._find_contacts(self._arm.compute_configuration(q)) if self.pairs else []
-        return self.name(touching[0]) if touching else ""
+        return self.name_pair(touching[0]) if touching else ""
 
     def find_touching(self, q: Array) -> Iterator[int]:
         """Yield the numbers of those of some configurations (K, N) in which any parts touch."""
@@ -123,9 +123,9 @@ class Collisions(SharedObject):
                 if touching:
                     yield k
 
-    def sample(self, rng: np.random.Generator) -> Array:
+    def sample_configuration(self, rng: np.random.Generator) -> Array:
         """Return a configuration within the limits (N,)."""
-        return self._arm.sample(rng)
+        return self._arm.sample_configuration(rng)
 
     def bound_motions(self, motions: Array) -> Array:
         """Return how far the parts of each pair move at most, seen from each other [m].
@@ -170,12 +170,12 @@ class Collisions(SharedObject):
         with self._alone:
             touched, touching = self._check_pairs(now), self._check_pairs(q)
         for k in np.flatnonzero(touching & ~touched):
-            return self.name(int(k))
+            return self.name_pair(int(k))
         both = np.flatnonzero(touching & touched)
         if math.isinf(nearer) or not len(both):
             return ""
         lost = self._measure_distances(now)[both] - self._measure_distances(q)[both]
-        return self.name(int(both[np.argmax(lost)])) if lost.max() > nearer else ""
+        return self.name_pair(int(both[np.argmax(lost)])) if lost.max() > nearer else ""
 
     def _measure_distances(self, q: Array) -> Array:
         configuration, tested = self._arm.compute_configuration(q), self._tested
@@ -205,7 +205,7 @@ class Collisions(SharedObject):
         self._boxes.update(False)
         return bool(pin.computeCollisions(self._boxes, True))
 
-    def name(self, k: int) -> str:
+    def name_pair(self, k: int) -> str:
         """Return the names of a pair's parts, ``forearm_link and floor``."""
         pair = self._shapes.collisionPairs[k]
         return f"{self._names[pair.first]} and {self._names[pair.second]}"
@@ -233,7 +233,7 @@ class Collisions(SharedObject):
         # Numbers, not the pairs: those move when one before them is removed.
         pairs = [(pair.first, pair.second) for pair in self._shapes.collisionPairs]
         rng = np.random.default_rng(0)
-        poses = [self._arm.rest, *(self._arm.sample(rng) for _ in range(_SAMPLES))]
+        poses = [self._arm.rest, *(self._arm.sample_configuration(rng) for _ in range(_SAMPLES))]
         shares = []
         for tested_margin in (0.0, margin):
             self._prepare_tests(tested_margin)

@@ -48,14 +48,14 @@ def find_link_pairs(
     reasons = dict.fromkeys(_find_adjacent(urdf_xml, links), Reason.ADJACENT)
     left = [pair for pair in itertools.combinations(links, 2) if pair not in reasons]
     contacts = _Contacts(arm, left)
-    reasons |= dict.fromkeys(contacts.at(arm.rest), Reason.DEFAULT)
+    reasons |= dict.fromkeys(contacts.find_contacts(arm.rest), Reason.DEFAULT)
     contacts = _Contacts(arm, [pair for pair in left if pair not in reasons])
     rng = np.random.default_rng(0)
     count = dict.fromkeys(contacts.pairs, 0)
     for number in range(samples):
         if number >= _JUDGED and number % _ROUND == 0:
             contacts = _Contacts(arm, [pair for pair in contacts.pairs if not count[pair]])
-        for pair in contacts.at(arm.sample(rng)):
+        for pair in contacts.find_contacts(arm.sample_configuration(rng)):
             count[pair] += 1
     for pair, times in count.items():
         if times > _ALWAYS * min(_JUDGED, samples):
@@ -84,7 +84,7 @@ class _Contacts:
         self._data = arm.model.createData()
         self._tested, self._exact = self._hulls.createData(), self._meshes.createData()
 
-    def at(self, q: Array) -> set[tuple[str, str]]:
+    def find_contacts(self, q: Array) -> set[tuple[str, str]]:
         """Return the pairs that touch at q (N,)."""
         model, data = self._arm.model, self._data
         if not self.pairs or not pin.computeCollisions(

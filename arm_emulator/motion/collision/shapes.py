@@ -76,7 +76,7 @@ class CollisionShapes(SharedObject):
         rest: Array = np.where((self.low > 0.0) | (self.high < 0.0), middle, 0.0)
         return rest
 
-    def sample(self, rng: np.random.Generator) -> Array:
+    def sample_configuration(self, rng: np.random.Generator) -> Array:
         """Return a configuration within the limits (N,)."""
         return self.low + (self.high - self.low) * rng.random(len(self.low))
 

@@ -61,10 +61,10 @@ class Controllers:
             self._braking = make_jerk_limited_velocity(kinematics, config, 0.0, ACCELERATION_SHARE)
         return self._braking
 
-    def retune(self, config: MotionConfig) -> None:
+    def set_parameters(self, config: MotionConfig) -> None:
         """Continue with other parameters; its owner retunes `controller`."""
         self.config, self._braking = config, None
-        self.shaped.retune(config.design_shaper())
+        self.shaped.set_shaper(config.design_shaper())
         if self._planner not in (None, self.controller):
             self.planner.retune(config)
 

@@ -66,21 +66,21 @@ class Feedforward:
         """Return the links' angles for measured motors at q (N,) [rad]."""
         if self._arm is not None and self._before is None:
             for _ in range(_TIMES):  # the weight is that at the links' true angles
-                weight = self._arm.weight(q - self.wind_up)
-                self.wind_up = self._arm.wind_up(self._load.factor * weight)
+                weight = self._arm.compute_weight(q - self.wind_up)
+                self.wind_up = self._arm.compute_wind_up(self._load.factor * weight)
         return q - self.wind_up
 
     def compute_rest_angles(self, q: Array) -> Array:
         """Return the links' angles at rest for commanded angles q, (N,) [rad]."""
         measured = q + self.wind_up
-        self.forget()
+        self.reset_estimate()
         return self.compute_link_angles(measured)
 
-    def forget(self) -> None:
+    def reset_estimate(self) -> None:
         """Reset for the next motion."""
         self._before = None
 
-    def observe(self, tau: Array | None, movable: npt.NDArray[np.bool_] | None) -> None:
+    def observe_torques(self, tau: Array | None, movable: npt.NDArray[np.bool_] | None) -> None:
         """Take what the motors give, at the links (N,) [N m], and which joints can move (N,).
 
         None: not measured; all can.
@@ -97,11 +97,11 @@ class Feedforward:
         before = self._before
         sound = tau is not None and bool(np.isfinite(tau).all())
         if tau is not None and sound and before is not None and before.rests:
-            self._load.observe_rest(tau, self._arm.weight(before.q_end))
+            self._load.observe_rest(tau, self._arm.compute_weight(before.q_end))
         else:
             self._load.note_motion()
 
-    def complete(self, instruction: JointSetpoint) -> JointSetpoint:
+    def complete_setpoint(self, instruction: JointSetpoint) -> JointSetpoint:
         """Return the servo's targets for this motion period."""
         if self.gives == "none":
             return JointSetpoint(instruction.q)
@@ -110,7 +110,7 @@ class Feedforward:
         if self.gives == "speed" or instruction.tau is not None or self._torques is None:
             return instruction
         v = np.zeros_like(instruction.q) if instruction.v is None else instruction.v
-        return replace(instruction, tau=self._torques.at(instruction.q, v))
+        return replace(instruction, tau=self._torques.compute_torques(instruction.q, v))
 
     def _complete_full(self, arm: ElasticArm, instruction: JointSetpoint) -> JointSetpoint:
         q, period = instruction.q, self._period
@@ -127,13 +127,17 @@ class Feedforward:
             jerk = np.zeros_like(q) if before is None else (now.a - before.now.a) / period
             now = replace(now, jerk=jerk)
         q_end = q + mean * period
-        then = instruction.then or now.after(period, q_end)
+        then = instruction.then or now.extrapolate_to(period, q_end)
         rests = not any(rate.any() for rate in (mean, now.v, now.a, jerk))
         if rests or before is None:
             self._factor = self._load.factor
         factor = self._factor
-        begins = arm.at(now.q, now.v, now.a, jerk, factor) if before is None else before.ends
-        ends = arm.at(q_end, then.v, then.a, jerk if then.jerk is None else then.jerk, factor)
+        begins = (
+            arm.compute_drive(now.q, now.v, now.a, jerk, factor) if before is None else before.ends
+        )
+        ends = arm.compute_drive(
+            q_end, then.v, then.a, jerk if then.jerk is None else then.jerk, factor
+        )
         self._before = present = _Period(now, mean, q_end, ends, rests)
         self.wind_up = begins.theta - q
         tau = (
@@ -150,11 +154,11 @@ class Feedforward:
         of the weight, and torques that change without a motion would be wrong evidence to it.
         """
         ends = present.ends
-        tau = arm.over(begins, ends, self._period) + self._integral_torque
+        tau = arm.compute_mean_torques(begins, ends, self._period) + self._integral_torque
         if not present.rests:
             self._at_rest = None
-            return tau - self._load.release_friction(arm.sliding(present.mean))
-        weight = arm.over(ends, ends, self._period)
+            return tau - self._load.release_friction(arm.compute_sliding_share(present.mean))
+        weight = arm.compute_mean_torques(ends, ends, self._period)
         if self._at_rest is None:
             self._at_rest = weight + self._integral_torque
             return tau

@@ -49,7 +49,7 @@ class GoalQueue:
             rule = f"be one of at most {MAX_TARGETS} that wait for their time"
             raise Refusal(kind.topic, "the target", rule, "one more")
 
-    def put(self, taken: AcceptedGoal) -> AcceptedGoal | None:
+    def add_goal(self, taken: AcceptedGoal) -> AcceptedGoal | None:
         """Add an order; return the one of the same time in whose place it comes."""
         before = self._find_at(taken.order.stamp_ns)
         if before is not None:
@@ -61,7 +61,7 @@ class GoalQueue:
         """Add an order that begins before all others."""
         self._waiting.insert(0, taken)
 
-    def remove(self, taken: AcceptedGoal) -> None:
+    def remove_goal(self, taken: AcceptedGoal) -> None:
         """Take an order away."""
         self._waiting.remove(taken)
 
@@ -113,7 +113,9 @@ class AcceptedGoal:
         name = self.order.kind.name.lower().replace("_", " ")
         return GoalProgress(GoalState.REPLACED, f"by {name} {self.number}")
 
-    def report(self, reports: GoalReports, progress: GoalProgress, always: bool = False) -> None:
+    def report_progress(
+        self, reports: GoalReports, progress: GoalProgress, always: bool = False
+    ) -> None:
         """Take over the state of a progress, and report what is new, or anything if `always`.
 
         After a final state only an unreachable target may still be reached.
@@ -125,7 +127,7 @@ class AcceptedGoal:
         self.state = progress.state
         if silent or not self.number:
             return
-        reports.add(progress, self.order.kind, self.number, self.order.stamp_ns)
+        reports.add_report(progress, self.order.kind, self.number, self.order.stamp_ns)
 
 
 def make_trajectory_goal(

@@ -86,17 +86,17 @@ class GoalReports:
         """Number of orders of each kind so far."""
         self.waiting: deque[GoalStatus] = deque(maxlen=MAX_WAITING)
 
-    def next_number(self, kind: Kind) -> int:
+    def take_next_number(self, kind: Kind) -> int:
         """Return the number of a new one."""
         self.numbers[kind] += 1
         return self.numbers[kind]
 
-    def refuse(self, kind: Kind, stamp_ns: int, reason: object) -> None:
+    def refuse_goal(self, kind: Kind, stamp_ns: int, reason: object) -> None:
         """Report a refused one."""
-        refused, number = GoalProgress(GoalState.REFUSED, str(reason)), self.next_number(kind)
-        self.add(refused, kind, number, stamp_ns)
+        refused, number = GoalProgress(GoalState.REFUSED, str(reason)), self.take_next_number(kind)
+        self.add_report(refused, kind, number, stamp_ns)
 
-    def add(self, progress: GoalProgress, kind: Kind, number: int, stamp_ns: int) -> None:
+    def add_report(self, progress: GoalProgress, kind: Kind, number: int, stamp_ns: int) -> None:
         """Report the progress of one."""
         status = GoalStatus(**vars(progress), kind=kind, number=number, stamp_ns=stamp_ns)
         self.waiting.append(status)
@@ -106,7 +106,7 @@ class GoalReports:
         """The newest report that was not taken yet, or None."""
         return self.waiting[-1] if self.waiting else None
 
-    def take(self) -> list[GoalStatus]:
+    def take_reports(self) -> list[GoalStatus]:
         """Return the reports, and clear them."""
         taken = list(self.waiting)
         self.waiting.clear()

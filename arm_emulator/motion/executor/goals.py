@@ -62,7 +62,7 @@ class Goal:
         """Kind of its way and the reason, as text; empty: unknown."""
         return ""
 
-    def begin(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
+    def begin_motion(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """Take over from `reference`.
 
         Raises:
@@ -76,9 +76,9 @@ class Goal:
         Raises:
             Refusal: it cannot be continued so. Nothing has changed then.
         """
-        self.begin(controllers, now_ns, reference)
+        self.begin_motion(controllers, now_ns, reference)
 
-    def instruct(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+    def compute_setpoint(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
         """Return the joint targets of this motion period.
 
         Raises:
@@ -87,22 +87,22 @@ class Goal:
         """
         raise NotImplementedError
 
-    def reference(self, now_ns: int) -> Reference | None:
+    def evaluate_reference(self, now_ns: int) -> Reference | None:
         """Return the joints' commanded motion; None: that of the last instruction."""
         raise NotImplementedError
 
-    def planned(self) -> Planned | None:
-        """Return its motion, after `instruct`, on which parts keep apart; None: not known."""
+    def get_planned(self) -> Planned | None:
+        """Return its motion, after `compute_setpoint`, on which parts keep apart; None: not known."""
         return None
 
-    def progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
-        """Return its progress, after `instruct`, by the measured angles and speeds."""
+    def compute_progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
+        """Return its progress, after `compute_setpoint`, by the measured angles and speeds."""
         raise NotImplementedError
 
     def _check_motion(self, controllers: Controllers, motion: ReferenceMotion) -> None:
         """Check a motion to its end."""
         if controllers.guard is not None:
-            controllers.guard.check(self.kind.topic, sample_angles(motion))
+            controllers.guard.check_motion(self.kind.topic, sample_angles(motion))
 
 
 class _ToolGoal(Goal):
@@ -115,11 +115,11 @@ class _ToolGoal(Goal):
         """See `Goal`."""
         return self._law.path_text
 
-    def reference(self, now_ns: int) -> Reference | None:
+    def evaluate_reference(self, now_ns: int) -> Reference | None:
         """See `Goal`."""
         return self._law.coming
 
-    def planned(self) -> Planned | None:
+    def get_planned(self) -> Planned | None:
         """See `Goal`."""
         law = self._law
         return Planned(law.motion, law.elapsed) if isinstance(law, TargetPlanner) else None
@@ -134,7 +134,7 @@ class TargetGoal(_ToolGoal):
         self.stamp_ns, self.pose = stamp_ns, pose
         self._rest_position: Array | None = None
 
-    def begin(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
+    def begin_motion(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
         self._law, self._arrival = controllers.controller, _Arrival(controllers.config)
         if controllers.leading is not self._law:
@@ -145,9 +145,9 @@ class TargetGoal(_ToolGoal):
         """See `Goal`."""
         controllers.leading = None
         self._rest_position = None
-        self.begin(controllers, now_ns, reference)
+        self.begin_motion(controllers, now_ns, reference)
 
-    def instruct(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+    def compute_setpoint(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
         """See `Goal`."""
         if self._rest_position is not None:
             return JointSetpoint(self._rest_position)
@@ -157,9 +157,9 @@ class TargetGoal(_ToolGoal):
             self._rest_position = q
         return instruction
 
-    def progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
+    def compute_progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
         """See `Goal`."""
-        return self._arrival.progress(now_ns, self._law, q, v)
+        return self._arrival.compute_progress(now_ns, self._law, q, v)
 
 
 class PathGoal(_ToolGoal):
@@ -171,7 +171,7 @@ class PathGoal(_ToolGoal):
     def __init__(self, path: ToolPath) -> None:
         self.stamp_ns, self._path = path.stamp_ns, path
 
-    def begin(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
+    def begin_motion(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
         law, config = controllers.planner, controllers.config
         if controllers.leading is not law:
@@ -193,19 +193,19 @@ class PathGoal(_ToolGoal):
         controllers.leading = law
         law.follow(left, left.path_text)
 
-    def instruct(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+    def compute_setpoint(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
         """See `Goal`."""
         instruction = self._law.go_on(q, self._path.poses[-1])
-        self._watch.see(instruction.q, q - self._shaped.lag)  # where the tool truly is
+        self._watch.observe_angles(instruction.q, q - self._shaped.lag)  # where the tool truly is
         return instruction
 
-    def progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
+    def compute_progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
         """See `Goal`."""
         if self._watch.broken:
             return GoalProgress(GoalState.ABORTED, f"{PATH_TOLERANCE}: {self._watch.broken}")
         if not self._law.is_resting:
             return MOVING
-        progress = self._arrival.progress(now_ns, self._law, q, v)
+        progress = self._arrival.compute_progress(now_ns, self._law, q, v)
         missed = self._watch.missed
         if progress.state is GoalState.REACHED and missed:
             return replace(progress, state=GoalState.ABORTED, reason=f"{PATH_TOLERANCE}: {missed}")
@@ -222,29 +222,29 @@ class TrajectoryGoal(Goal):
         self.stamp_ns, self.trajectory = trajectory.stamp_ns, trajectory
         self._tolerances = tolerances
 
-    def begin(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
+    def begin_motion(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
         start_ns = self.stamp_ns or now_ns
         scaled = controllers.config.trajectory_limits == "scale"
         motion = fit_trajectory(
             controllers.planner, self.trajectory, now_ns, start_ns, reference, scaled
         )
-        self._follow(controllers, motion, now_ns)
+        self._follow_motion(controllers, motion, now_ns)
         self._late_ns = now_ns - start_ns  # when it began
         controllers.leading = None
 
     def go_on(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
-        since = self._time(self._at_ns)
+        since = self._compute_time(self._at_ns)
         left = DelayedTrajectory(self._motion, since, reference, controllers.planner.limits)
-        self._follow(controllers, left, now_ns)
+        self._follow_motion(controllers, left, now_ns)
 
-    def _follow(self, controllers: Controllers, motion: TimedMotion, now_ns: int) -> None:
+    def _follow_motion(self, controllers: Controllers, motion: TimedMotion, now_ns: int) -> None:
         if not self.trajectory.is_stop:
             self._check_motion(controllers, motion)
         self._motion, self._began_ns, self._at_ns = motion, now_ns, now_ns
 
-    def _time(self, now_ns: int) -> float:
+    def _compute_time(self, now_ns: int) -> float:
         """Return the time since its motion began [s]."""
         return (now_ns - self._began_ns) * _SECONDS
 
@@ -253,32 +253,35 @@ class TrajectoryGoal(Goal):
         """See `Goal`."""
         return self._motion.path_text
 
-    def instruct(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+    def compute_setpoint(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
         """See `Goal`."""
         self._at_ns, self._period = now_ns, controllers.config.period
-        now, then = self.reference(now_ns), self.reference(now_ns + controllers.period_ns)
+        now, then = (
+            self.evaluate_reference(now_ns),
+            self.evaluate_reference(now_ns + controllers.period_ns),
+        )
         effort = None
         if not self.trajectory.is_stop:
-            requested_ns = self._motion.find_requested_ns(self._time(now_ns))
+            requested_ns = self._motion.find_requested_ns(self._compute_time(now_ns))
             effort = self.trajectory.compute_effort(self._late_ns + requested_ns)
         v = (then.q - now.q) / (controllers.period_ns * _SECONDS)
         return JointSetpoint(now.q, v, effort, now, then)
 
-    def reference(self, now_ns: int) -> Reference:
+    def evaluate_reference(self, now_ns: int) -> Reference:
         """See `Goal`."""
-        return self._motion.at(self._time(now_ns))
+        return self._motion.evaluate_at(self._compute_time(now_ns))
 
-    def planned(self) -> Planned | None:
+    def get_planned(self) -> Planned | None:
         """See `Goal`."""
-        elapsed = self._time(self._at_ns) + self._period
+        elapsed = self._compute_time(self._at_ns) + self._period
         return None if self.trajectory.is_stop else Planned(self._motion, elapsed)
 
-    def progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
+    def compute_progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
         """See `Goal`."""
-        expected = self.reference(now_ns)
+        expected = self.evaluate_reference(now_ns)
         q_error, v_error = expected.q - q, None if v is None else expected.v - v
         names = self.trajectory.joint_names
-        late = self._time(now_ns) - self._motion.duration
+        late = self._compute_time(now_ns) - self._motion.duration
         if late < 0.0:
             broken = self._tolerances.path.describe_excess(names, q_error, v_error)
             return (
@@ -304,7 +307,9 @@ class _Arrival:
         """Whether the tool has come no nearer for a while."""
         return self._best_at is not None and (now_ns - self._best_at) * _SECONDS >= PATIENCE
 
-    def progress(self, now_ns: int, law: Controller, q: Array, v: Array | None) -> GoalProgress:
+    def compute_progress(
+        self, now_ns: int, law: Controller, q: Array, v: Array | None
+    ) -> GoalProgress:
         """Return the tool's progress, by measured angles and speeds."""
         config, error = self._config, law.error
         distance = float(np.linalg.norm(error[:POSITION_ROWS]))

@@ -34,38 +34,38 @@ class JogGoal(Goal):
         self.status, self.words = JogStatus.NO_WARNING, ""
 
     @classmethod
-    def stop(cls, now_ns: int, joints: int) -> Self:
+    def make_stop(cls, now_ns: int, joints: int) -> Self:
         """Return the order to come to rest from now on."""
         return cls(JogCommand(now_ns, None, "", np.zeros(joints)))
 
-    def begin(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
+    def begin_motion(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
         margin = controllers.config.jog_joint_limit_margin
         self._joints = make_jerk_limited_velocity(
             controllers.controller.kinematics, controllers.config, margin, ACCELERATION_SHARE
         )
-        self._joints.begin(reference)
+        self._joints.take_over(reference)
         self._line = JogLine(controllers.controller.kinematics)
         self._stale = False
         controllers.leading = None
 
-    def instruct(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+    def compute_setpoint(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
         """See `Goal`."""
         now, config, command = self._joints.now, controllers.config, self.command
         timeout = round(config.jog_incoming_command_timeout * 1e9)
         self._stale = now_ns - command.time_ns > timeout
         speeds = Speeds(np.zeros_like(now.q))
         if self._stale or command.twist is None:
-            self._line.leave()
+            self._line.forget_line()
         if not self._stale:
             speeds = self._compute_speeds(controllers, now)
         self.status, self.words = speeds.status, speeds.status.words
         v = self._limit_speeds(controllers, now.q, speeds.v)
-        mean = self._joints.accelerate(v, alone=command.joints is not None)
+        mean = self._joints.advance_towards(v, alone=command.joints is not None)
         guard = controllers.guard
         if guard and (touching := guard.check_ahead(self._joints, now.q, self._joints.now)):
             self.status, self.words = JogStatus.HALT_FOR_COLLISION, f"{touching} would touch"
-            self._joints.begin(now)
+            self._joints.take_over(now)
             mean = self._joints.stop_joints()
         return JointSetpoint(now.q, mean, None, now)
 
@@ -84,7 +84,7 @@ class JogGoal(Goal):
         here = ToolDirections(kinematics, coming)
         speeds = here.compute_speeds(twist, controllers.config, self._joints.limit_brake_share)
         if speeds.status is not JogStatus.NO_WARNING:
-            self._line.leave()  # what leads back may be what is lost there
+            self._line.forget_line()  # what leads back may be what is lost there
             return speeds
         back = self._line.compute_return(coming, now.v, command.twist, twist)
         return replace(speeds, v=speeds.v + here.compute_speeds(back, controllers.config).v)
@@ -100,11 +100,11 @@ class JogGoal(Goal):
             self.words = f"{self.status.words}: {', '.join(slowed)}"
         return v * (allowed if self.command.joints is not None else allowed.min())
 
-    def reference(self, now_ns: int) -> Reference | None:
+    def evaluate_reference(self, now_ns: int) -> Reference | None:
         """See `Goal`."""
         return self._joints.now
 
-    def progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
+    def compute_progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
         """See `Goal`."""
         if self._stale and not self._joints.is_moving:
             return GoalProgress(GoalState.REACHED, "no command any more, at rest")
@@ -128,7 +128,7 @@ class JogLine:
         self._command: Array = np.zeros(POSE_ROWS)
         self._place: Pose | None = None
 
-    def leave(self) -> None:
+    def forget_line(self) -> None:
         """Forget the line."""
         self._place = None
 
@@ -142,7 +142,7 @@ class JogLine:
         scaled_twist = scale * twist[:rows]
         size = float(np.linalg.norm(scaled_twist))
         if size == 0.0 or not self._is_same_direction(command):
-            self.leave()
+            self.forget_line()
         self._command = command
         if size == 0.0:
             return back

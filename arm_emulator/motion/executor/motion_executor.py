@@ -77,7 +77,7 @@ class MotionExecutor:
         """Forget all orders, and the arm's position."""
         for taken in [self._active, *self._coming]:
             if taken is not None:
-                taken.report(self.reports, GoalProgress(GoalState.ABORTED, reason))
+                taken.report_progress(self.reports, GoalProgress(GoalState.ABORTED, reason))
         self._hold: Array | None = None
         self._active = None
         self._standstill: Standstill | None = None
@@ -87,14 +87,14 @@ class MotionExecutor:
         self._last: tuple[int, JointSetpoint] | None = None
         if self._controllers is not None:
             self._controllers.leading = None
-            self._controllers.feedforward.forget()
-            self._controllers.shaped.restart()
+            self._controllers.feedforward.reset_estimate()
+            self._controllers.shaped.pass_reference()
 
-    def retune(self, config: MotionConfig) -> None:
+    def set_parameters(self, config: MotionConfig) -> None:
         """Continue with other parameters; a path that has begun keeps its speed."""
         self._config = config
         if self._controllers is not None:
-            self._controllers.retune(config)
+            self._controllers.set_parameters(config)
 
     @property
     def is_holding(self) -> bool:
@@ -123,7 +123,7 @@ class MotionExecutor:
 
         Of two with the same time the newer wins; a time that is past means the next motion period.
         """
-        self._take(Kind.TOOL_TARGET, time_ns, time_ns, lambda: TargetGoal(time_ns, target))
+        self._take_goal(Kind.TOOL_TARGET, time_ns, time_ns, lambda: TargetGoal(time_ns, target))
 
     def add_trajectory(
         self,
@@ -142,7 +142,7 @@ class MotionExecutor:
             stamp_ns: logical time at which it starts [ns]; 0: at once.
             tolerances: makes its own of those of the parameters.
         """
-        return self._take(
+        return self._take_goal(
             Kind.JOINT_TRAJECTORY,
             stamp_ns,
             stamp_ns,
@@ -167,20 +167,20 @@ class MotionExecutor:
             times_ns: when the tool shall be in each [ns]; None: as the parameters state.
         """
         begins_ns = max(stamp_ns, times_ns[0]) if times_ns else stamp_ns
-        return self._take(
+        return self._take_goal(
             Kind.TOOL_PATH,
             stamp_ns,
             begins_ns,
             lambda: make_path_goal(controller, self._config, poses, stamp_ns, times_ns),
         )
 
-    def jog(self, command: JogCommand) -> None:
+    def take_jog(self, command: JogCommand) -> None:
         """Take a jog command: it holds from the next period on, as long as jog commands last."""
         for order in (self.jogging, *(taken.order for taken in self._coming)):
             if isinstance(order, JogGoal):
                 order.command = command
                 return
-        self._take(Kind.JOG, 0, 0, lambda: JogGoal(command))
+        self._take_goal(Kind.JOG, 0, 0, lambda: JogGoal(command))
 
     @property
     def jogging(self) -> JogGoal | None:
@@ -189,12 +189,12 @@ class MotionExecutor:
         jogs = active is not None and not active.state.is_final
         return active.order if active and jogs and isinstance(active.order, JogGoal) else None
 
-    def cancel(self, number: int) -> None:
+    def cancel_trajectory(self, number: int) -> None:
         """Abort a joint trajectory by its number: the joints come to rest if it moves them."""
         for taken in self._coming:
             if taken.order.kind is Kind.JOINT_TRAJECTORY and taken.number == number:
-                self._coming.remove(taken)
-                taken.report(self.reports, GoalProgress(GoalState.ABORTED, CANCELLED))
+                self._coming.remove_goal(taken)
+                taken.report_progress(self.reports, GoalProgress(GoalState.ABORTED, CANCELLED))
                 return
         active = self._active
         if self._controllers is None or active is None or active.state.is_final:
@@ -202,7 +202,7 @@ class MotionExecutor:
         if active.order.kind is Kind.JOINT_TRAJECTORY and active.number == number:
             self._coming.put_first(AcceptedGoal(make_stop_goal(self._controllers), 0))
 
-    def instruct(
+    def compute_setpoint(
         self,
         controller: Controller,
         time_ns: int,
@@ -227,21 +227,23 @@ class MotionExecutor:
         _Q.check("motion_controller", q.tolist())
         controllers = self._get_controllers(controller)
         if movable is not None and not movable.all():
-            controllers.feedforward.forget()  # the measured positions hold, whatever was commanded
-        controllers.feedforward.observe(tau, movable)
+            controllers.feedforward.reset_estimate()  # the measured positions hold, whatever was commanded
+        controllers.feedforward.observe_torques(tau, movable)
         measured, links = q, controllers.feedforward.compute_link_angles(q)
         # The arm as if it had got the reference without the delay of its shaper.
         q, true_v = links + controllers.shaped.lag, v
         v = None if v is None else v + controllers.shaped.v_lag
         try:
-            self._wait(controllers, time_ns, q, movable)
+            self._wait_for_joints(controllers, time_ns, q, movable)
             self._take_up(controllers, time_ns, q)
             if self._standstill is None:
-                of_links = self._instruct(controllers, time_ns, q, v)
+                of_links = self._compute_setpoint(controllers, time_ns, q, v)
             else:
                 can = np.ones(len(links), dtype=bool) if movable is None else movable
-                of_links = self._standstill.instruct(links, true_v, can)
-            instruction = controllers.feedforward.complete(controllers.shaped.shape(of_links))
+                of_links = self._standstill.compute_setpoint(links, true_v, can)
+            instruction = controllers.feedforward.complete_setpoint(
+                controllers.shaped.filter_setpoint(of_links)
+            )
             answer = instruction.q, instruction.v, instruction.tau
             for bound, values in zip((_Q_TARGET, _V_TARGET, _TAU), answer, strict=True):
                 if values is not None:
@@ -262,7 +264,7 @@ class MotionExecutor:
         """Reason why the arm waits at a standstill, as text; empty: it moves."""
         return "" if self._standstill is None else self._standstill.words
 
-    def _wait(
+    def _wait_for_joints(
         self, controllers: Controllers, time_ns: int, q: Array, movable: Flags | None
     ) -> None:
         """Stand still while a joint cannot move, and until all rest."""
@@ -270,7 +272,7 @@ class MotionExecutor:
             if movable is not None and not movable.all():
                 now = controllers.shaped.compute_sent(self._find_reference(controllers, time_ns, q))
                 self._standstill = Standstill(controllers, now)
-                controllers.shaped.restart()
+                controllers.shaped.pass_reference()
                 self._only = None
             return
         if not self._standstill.is_over or (movable is not None and not movable.all()):
@@ -282,9 +284,11 @@ class MotionExecutor:
             return
         begins = active.state is GoalState.ACCEPTED
         try:
-            (active.order.begin if begins else active.order.go_on)(controllers, time_ns, rest)
+            (active.order.begin_motion if begins else active.order.go_on)(
+                controllers, time_ns, rest
+            )
         except Refusal as reason:
-            active.report(self.reports, GoalProgress(GoalState.REFUSED, str(reason)))
+            active.report_progress(self.reports, GoalProgress(GoalState.REFUSED, str(reason)))
             self._active, self._hold = None, rest.q
 
     def _get_controllers(self, controller: Controller) -> Controllers:
@@ -292,20 +296,20 @@ class MotionExecutor:
             self._controllers = Controllers(controller, self._config)
         return self._controllers
 
-    def _take(self, kind: Kind, time_ns: int, begins_ns: int, make: Callable[[], Goal]) -> int:
+    def _take_goal(self, kind: Kind, time_ns: int, begins_ns: int, make: Callable[[], Goal]) -> int:
         try:
             if self._now_ns is not None:
                 check_wait(kind, begins_ns, self._now_ns)
             order = make()
             self._coming.check_room(kind, time_ns)
         except Refusal as reason:
-            self.reports.refuse(kind, time_ns, reason)
+            self.reports.refuse_goal(kind, time_ns, reason)
             raise
-        taken = AcceptedGoal(order, self.reports.next_number(kind), begins_ns)
-        taken.report(self.reports, GoalProgress(GoalState.ACCEPTED))
-        before = self._coming.put(taken)
+        taken = AcceptedGoal(order, self.reports.take_next_number(kind), begins_ns)
+        taken.report_progress(self.reports, GoalProgress(GoalState.ACCEPTED))
+        before = self._coming.add_goal(taken)
         if before is not None:
-            before.report(self.reports, taken.replaces)
+            before.report_progress(self.reports, taken.replaces)
         return taken.number
 
     def _take_up(self, controllers: Controllers, time_ns: int, q: Array) -> None:
@@ -315,25 +319,27 @@ class MotionExecutor:
             try:
                 check_wait(taken_early.order.kind, taken_early.begins_ns, time_ns)
             except Refusal as reason:
-                self._coming.remove(taken_early)
-                taken_early.report(self.reports, GoalProgress(GoalState.REFUSED, str(reason)))
+                self._coming.remove_goal(taken_early)
+                taken_early.report_progress(
+                    self.reports, GoalProgress(GoalState.REFUSED, str(reason))
+                )
         self._now_ns = time_ns
         while (taken := self._coming.take_due(time_ns)) is not None:
             reference, order = self._find_reference(controllers, time_ns, q), taken.order
             if isinstance(order, TargetGoal):
-                self._stream.take(order.stamp_ns or time_ns, order.pose, reference.q)
+                self._stream.take_target(order.stamp_ns or time_ns, order.pose, reference.q)
             if (newer := self._coming.find_due(time_ns)) is not None:
-                taken.report(self.reports, newer.replaces)
+                taken.report_progress(self.reports, newer.replaces)
                 continue
             if isinstance(order, TargetGoal):
                 taken.order = self._select_stream(controllers, order, reference.q)
             try:
-                taken.order.begin(controllers, time_ns, reference)
+                taken.order.begin_motion(controllers, time_ns, reference)
             except Refusal as reason:
-                taken.report(self.reports, GoalProgress(GoalState.REFUSED, str(reason)))
+                taken.report_progress(self.reports, GoalProgress(GoalState.REFUSED, str(reason)))
                 continue
             if self._active is not None:
-                self._active.report(self.reports, taken.replaces)
+                self._active.report_progress(self.reports, taken.replaces)
             self._active = taken
 
     def _select_stream(
@@ -345,7 +351,7 @@ class MotionExecutor:
             return order
         return StreamGoal(order, motion, self._stream.posture)
 
-    def _instruct(
+    def _compute_setpoint(
         self, controllers: Controllers, time_ns: int, q: Array, v: Array | None
     ) -> JointSetpoint:
         taken = self._active
@@ -354,14 +360,14 @@ class MotionExecutor:
                 self._hold = q
             return JointSetpoint(self._hold)
         try:
-            instruction = taken.order.instruct(controllers, time_ns, q)
+            instruction = taken.order.compute_setpoint(controllers, time_ns, q)
         except PlanningError as reason:  # nothing has changed
-            before = taken.order.reference(time_ns)
+            before = taken.order.evaluate_reference(time_ns)
             assert before is not None
             moved = bool((before.v != 0.0).any())
             state = GoalState.ABORTED if moved else GoalState.REFUSED
             return self._halt_goal(controllers, time_ns, before, GoalProgress(state, str(reason)))
-        shaped, progress = controllers.shaped, taken.order.progress(time_ns, q, v)
+        shaped, progress = controllers.shaped, taken.order.compute_progress(time_ns, q, v)
         if not shaped.is_settled and progress.state in (GoalState.REACHED, GoalState.UNREACHABLE):
             progress = replace(progress, state=GoalState.MOVING, reason="")
         self.progress = progress
@@ -373,12 +379,12 @@ class MotionExecutor:
             taken.state is GoalState.MOVING and path_text != taken.path_text
         ):
             taken.path_text = path_text
-            taken.report(
+            taken.report_progress(
                 self.reports,
                 replace(progress, state=GoalState.MOVING, reason=path_text),
                 always=True,
             )
-        taken.report(self.reports, progress)
+        taken.report_progress(self.reports, progress)
         if taken.state is GoalState.ABORTED:
             v = None if v is None else v - shaped.v_lag
             return self._stop_measured(controllers, time_ns, q - shaped.lag, v)
@@ -396,13 +402,13 @@ class MotionExecutor:
         q, period = instruction.q, controllers.config.period
         v = np.zeros_like(q) if instruction.v is None else instruction.v
         now = instruction.now or Reference(q, v, np.zeros_like(q))
-        then = taken.order.reference(time_ns + controllers.period_ns)
-        then = then or now.after(period, q + period * v)
+        then = taken.order.evaluate_reference(time_ns + controllers.period_ns)
+        then = then or now.extrapolate_to(period, q + period * v)
         touching = guard.check_ahead(controllers.braking, now.q, then)
         if not touching:
             self._only = None
             return instruction
-        planned = taken.order.planned()
+        planned = taken.order.get_planned()
         if planned is not None and guard.is_free(planned.motion):
             self._only = planned
             return instruction
@@ -414,17 +420,17 @@ class MotionExecutor:
     ) -> JointSetpoint:
         """Abort the order, and come to rest from the commanded motion."""
         if self._active is not None:
-            self._active.report(self.reports, why)
+            self._active.report_progress(self.reports, why)
         stop: JogGoal | StopGoal
         if self._only is None:
-            stop = JogGoal.stop(time_ns, len(now.q))
+            stop = JogGoal.make_stop(time_ns, len(now.q))
         else:
             stop = StopGoal(controllers, time_ns, self._only)
-        stop.begin(controllers, time_ns, now)
+        stop.begin_motion(controllers, time_ns, now)
         self._active = AcceptedGoal(stop, 0, state=GoalState.MOVING)
-        instruction = stop.instruct(controllers, time_ns, now.q)
+        instruction = stop.compute_setpoint(controllers, time_ns, now.q)
         if self._only is not None:
-            self._only = stop.planned()
+            self._only = stop.get_planned()
         return instruction
 
     def _stop_measured(
@@ -434,16 +440,16 @@ class MotionExecutor:
         stop = make_stop_goal(controllers)
         still = np.zeros_like(q)
         q = controllers.feedforward.compute_rest_angles(q)
-        stop.begin(controllers, time_ns, Reference(q, still if v is None else v, still))
+        stop.begin_motion(controllers, time_ns, Reference(q, still if v is None else v, still))
         self._active, self._only = AcceptedGoal(stop, 0), None
-        return stop.instruct(controllers, time_ns, q)
+        return stop.compute_setpoint(controllers, time_ns, q)
 
     def _find_reference(self, controllers: Controllers, time_ns: int, q: Array) -> Reference:
         """Return the joints' commanded motion, or the measured one if they are far apart."""
         if self._standstill is not None:
             return self._standstill.reference
         still = np.zeros_like(q)
-        reference = None if self._active is None else self._active.order.reference(time_ns)
+        reference = None if self._active is None else self._active.order.evaluate_reference(time_ns)
         if reference is None and self._last is not None:
             then, last = self._last
             if last.v is None:

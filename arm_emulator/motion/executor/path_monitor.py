@@ -30,7 +30,7 @@ class PathMonitor:
         self._reached = np.full(len(poses), np.inf)  # by the measured tool
         self.broken = ""
 
-    def see(self, q_reference: Array, q: Array) -> None:
+    def observe_angles(self, q_reference: Array, q: Array) -> None:
         """Take reference and measured joint angles of a motion period, (N,) each."""
         expected = self._kinematics.forward(q_reference)[1]
         tool = self._kinematics.forward(q)[1]

@@ -68,19 +68,19 @@ class ShapedReference:
         self._coming: InputShaper | None = shaper
         self._past: deque[_ShapedPeriod] = deque(maxlen=1)
         self._sent: Reference | None = None  # end of the newest shaped period
-        self._take()
+        self._take_shaper()
 
-    def retune(self, shaper: InputShaper) -> None:
+    def set_shaper(self, shaper: InputShaper) -> None:
         """Continue with another shaper from the next rest on."""
         self._coming = None if shaper == self._shaper else shaper
         if self._sent is None:
-            self._take()
+            self._take_shaper()
 
-    def restart(self) -> None:
+    def pass_reference(self) -> None:
         """Pass the reference on as it is, until it rests."""
         self._past.clear()
         self._sent, self.lag, self.v_lag = None, 0.0, 0.0
-        self._take()
+        self._take_shaper()
 
     @property
     def delay(self) -> float:
@@ -96,17 +96,17 @@ class ShapedReference:
         """Whether the servo got all of the reference."""
         return not np.any(self.lag) and not np.any(self.v_lag)
 
-    def shape(self, setpoint: JointSetpoint) -> JointSetpoint:
+    def filter_setpoint(self, setpoint: JointSetpoint) -> JointSetpoint:
         """Return the setpoint of this motion period."""
         if self._shaper.delay == 0.0 and self._coming is None:
             return setpoint
-        present = self._read(setpoint)
+        present = self._read_setpoint(setpoint)
         if self._past and (np.abs(self._past[-1].end.q - present.begin.q) > _APART).any():
-            self.restart()
+            self.pass_reference()
         if self._past and not self._past[-1].has_end:
             self._past[-1] = replace(self._past[-1], end=present.begin)
         if present.is_resting and self.is_settled:
-            self.restart()
+            self.pass_reference()
             self._past.extend([present] * (self._past.maxlen or 1))
             self._sent = present.end
             return setpoint
@@ -114,14 +114,14 @@ class ShapedReference:
         if self._sent is None:
             return setpoint
         now = self._sent
-        then = self._sum()
+        then = self._sum_periods()
         self._sent = then
         self.lag, self.v_lag = present.end.q - then.q, present.end.v - then.v
         now = Reference(now.q, now.v, now.a, (then.a - now.a) / self._period)
         v = (then.q - now.q) / self._period
         return JointSetpoint(now.q, v, self._sum_effort(), now, then)
 
-    def _take(self) -> None:
+    def _take_shaper(self) -> None:
         """Begin to use the shaper that was given last."""
         if self._coming is None:
             return
@@ -138,14 +138,14 @@ class ShapedReference:
         self._weights = self._shaper.shares[:, np.newaxis] * np.array(parts)
         self._past = deque(maxlen=-int(self._places[-1]))
 
-    def _read(self, setpoint: JointSetpoint) -> _ShapedPeriod:
+    def _read_setpoint(self, setpoint: JointSetpoint) -> _ShapedPeriod:
         q, period = setpoint.q, self._period
         mean = np.zeros_like(q) if setpoint.v is None else setpoint.v
         now = setpoint.now or Reference(q, mean, np.zeros_like(q))
-        then = setpoint.then or now.after(period, q + period * mean)
+        then = setpoint.then or now.extrapolate_to(period, q + period * mean)
         return _ShapedPeriod(now, then, period, setpoint.then is not None, setpoint.tau)
 
-    def _sum(self) -> Reference:
+    def _sum_periods(self) -> Reference:
         """Return the shaped motion at the end of the newest period."""
         newest = self._past[-1].end
         terms = np.array([self._past[place].terms for place in self._places])

@@ -29,7 +29,7 @@ class Standstill:
         self._joints = make_jerk_limited_velocity(
             controllers.controller.kinematics, controllers.config, margin=0.0
         )
-        self._joints.begin(now)
+        self._joints.take_over(now)
         self._led = np.ones(len(now.q), dtype=bool)  # joints that follow the reference
 
     @property
@@ -40,7 +40,7 @@ class Standstill:
     @property
     def reference(self) -> Reference:
         """Commanded positions of the joints, at rest."""
-        return Reference.at_rest(self._joints.now.q)
+        return Reference.make_rest(self._joints.now.q)
 
     @property
     def words(self) -> str:
@@ -48,7 +48,7 @@ class Standstill:
         blocked = [name for name, led in zip(self._names, self._led, strict=True) if not led]
         return f"waits for power and brakes of {', '.join(blocked)}" if blocked else "comes to rest"
 
-    def instruct(self, q: Array, v: Array | None, movable: Flags) -> JointSetpoint:
+    def compute_setpoint(self, q: Array, v: Array | None, movable: Flags) -> JointSetpoint:
         """Return the joint targets of this motion period.
 
         Args:
@@ -58,7 +58,7 @@ class Standstill:
         """
         now, on = self._joints.now, movable & self._led
         moves = np.zeros_like(q) if v is None else v
-        self._joints.begin(
+        self._joints.take_over(
             Reference(np.where(on, now.q, q), np.where(on, now.v, moves), np.where(on, now.a, 0.0))
         )
         self._led = movable
@@ -85,7 +85,7 @@ class StopGoal(Goal):
             since = 0.0
         self._began_ns = now_ns - round(since / _SECONDS)
 
-    def begin(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
+    def begin_motion(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
         controllers.leading = None
 
@@ -93,21 +93,24 @@ class StopGoal(Goal):
         """See `Goal`."""
         self._motion, self._began_ns = Rest(reference.q), now_ns
 
-    def instruct(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+    def compute_setpoint(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
         """See `Goal`."""
-        now, then = self.reference(now_ns), self.reference(now_ns + controllers.period_ns)
+        now, then = (
+            self.evaluate_reference(now_ns),
+            self.evaluate_reference(now_ns + controllers.period_ns),
+        )
         self._at_ns = now_ns + controllers.period_ns
         return JointSetpoint(now.q, (then.q - now.q) / controllers.config.period, None, now, then)
 
-    def reference(self, now_ns: int) -> Reference:
+    def evaluate_reference(self, now_ns: int) -> Reference:
         """See `Goal`."""
-        return self._motion.at((now_ns - self._began_ns) * _SECONDS)
+        return self._motion.evaluate_at((now_ns - self._began_ns) * _SECONDS)
 
-    def planned(self) -> Planned:
+    def get_planned(self) -> Planned:
         """See `Goal`."""
         return Planned(self._motion, (self._at_ns - self._began_ns) * _SECONDS)
 
-    def progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
+    def compute_progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
         """See `Goal`."""
         over = (now_ns - self._began_ns) * _SECONDS > self._motion.duration
         return GoalProgress(GoalState.REACHED, "at rest") if over else MOVING

@@ -49,7 +49,7 @@ class StreamMotion:
         """Return the time since the newest target [s]."""
         return (now_ns - self.time_ns) * _SECONDS
 
-    def at(self, age: float) -> tuple[Pose, Array, Array]:
+    def evaluate_at(self, age: float) -> tuple[Pose, Array, Array]:
         """Return pose, speed and acceleration (6,) at an age [m, rad, s]."""
         place, speed, acceleration = self.terms
         move = place + age * speed + 0.5 * age**2 * acceleration
@@ -76,7 +76,7 @@ class TargetStream:
     _targets: list[tuple[int, Pose]] = field(default_factory=list)
     _count: int = 0
 
-    def take(self, time_ns: int, pose: Pose, q: Array) -> None:
+    def take_target(self, time_ns: int, pose: Pose, q: Array) -> None:
         """Take the newest target.
 
         Args:
@@ -160,27 +160,27 @@ class StreamGoal(Goal):
         self.stamp_ns = target.stamp_ns
         self._target, self._motion, self._posture = target, motion, posture
 
-    def begin(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
+    def begin_motion(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
         self._joints = make_jerk_limited_velocity(
             controllers.controller.kinematics, controllers.config, margin=0.0
         )
-        self._joints.begin(reference)
+        self._joints.take_over(reference)
         self._rests = False
         controllers.leading = None
 
-    def instruct(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+    def compute_setpoint(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
         """See `Goal`."""
         age = self._motion.compute_age(now_ns)
         if not self._rests and age > GAP:
             self._rests = True
-            self._target.begin(controllers, now_ns, self._joints.now)
+            self._target.begin_motion(controllers, now_ns, self._joints.now)
         if self._rests:
-            return self._target.instruct(controllers, now_ns, q)
+            return self._target.compute_setpoint(controllers, now_ns, q)
         kinematics, now = controllers.controller.kinematics, self._joints.now
         period = controllers.config.period
         coming = now.q + period * (now.v + 0.5 * period * now.a)
-        pose, twist, acceleration = self._motion.at(age + period)
+        pose, twist, acceleration = self._motion.evaluate_at(age + period)
         error = np.zeros(POSE_ROWS)
         error[: kinematics.rows] = kinematics.tool_error(coming, pose)
         here = ToolDirections(kinematics, coming)
@@ -193,17 +193,17 @@ class StreamGoal(Goal):
         v = here.compute_speeds(nearer, controllers.config, self._joints.limit_brake_share).v
         v = v + here.project_idle(BACK * (self._posture - coming))
         share = self._joints.limit_shares(now.q, v).min()
-        mean = self._joints.accelerate(v * share, alone=False, a=a * share)
+        mean = self._joints.advance_towards(v * share, alone=False, a=a * share)
         return JointSetpoint(now.q, mean, None, now)
 
-    def reference(self, now_ns: int) -> Reference | None:
+    def evaluate_reference(self, now_ns: int) -> Reference | None:
         """See `Goal`."""
-        return self._target.reference(now_ns) if self._rests else self._joints.now
+        return self._target.evaluate_reference(now_ns) if self._rests else self._joints.now
 
-    def planned(self) -> Planned | None:
+    def get_planned(self) -> Planned | None:
         """See `Goal`."""
-        return self._target.planned() if self._rests else None
+        return self._target.get_planned() if self._rests else None
 
-    def progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
+    def compute_progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
         """See `Goal`."""
-        return self._target.progress(now_ns, q, v) if self._rests else MOVING
+        return self._target.compute_progress(now_ns, q, v) if self._rests else MOVING

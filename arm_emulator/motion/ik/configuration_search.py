@@ -30,7 +30,7 @@ class ConfigurationSearch:
         self._parts = generate_low_discrepancy(STARTS, int(self._to_tool.sum()))
         self._starts: list[Array] = []
 
-    def begin(self, target: Pose, q: Array) -> None:
+    def begin_search(self, target: Pose, q: Array) -> None:
         """Look for a configuration for another target, the arm being at q (N,)."""
         kinematics = self._goal.kinematics
         self._all, q = q, q[self._to_tool]
@@ -48,12 +48,12 @@ class ConfigurationSearch:
         """Whether all angles have been tried."""
         return not self._starts
 
-    def search(self, steps: int) -> Array | None:
+    def search_steps(self, steps: int) -> Array | None:
         """Take so many steps; return joint angles that reach the target if any are found."""
         if self.is_over:
             return None
         goal = self._goal
-        goal.approach(steps)
+        goal.iterate_steps(steps)
         self._left -= steps
         angles = None
         if goal.is_reached:
@@ -79,8 +79,8 @@ class ConfigurationSearch:
         return ([back] if len(joints) else []) + (alone if len(joints) > 1 else [])
 
     def _begin_next(self) -> None:
-        self._goal.begin(self._starts[0])
-        self._goal.aim(self._target, self._starts[0])
+        self._goal.set_posture(self._starts[0])
+        self._goal.set_target(self._target, self._starts[0])
         self._left = _STEPS
 
 

@@ -63,9 +63,9 @@ class InverseKinematics:
         self._middle = np.zeros(len(self._low))
         self._middle[finite] = 0.5 * (self._low[finite] + self._high[finite])
         self._scales = kinematics.scale[:, None] * kinematics.step_scale
-        self.begin(self._rest)
+        self.set_posture(self._rest)
 
-    def begin(self, q: Array) -> None:
+    def set_posture(self, q: Array) -> None:
         """Take joint angles (N,) for the posture, and for the angles found."""
         self._posture = self._scale_angles(q)
         self._x = self._reached = self._posture
@@ -84,13 +84,13 @@ class InverseKinematics:
         """The posture of redundant joints (N,)."""
         return self._convert_angles(self._posture)
 
-    def hold(self, q: Array) -> None:
+    def hold_joints(self, q: Array) -> None:
         """Take the angles of joints that do not move the tool from q (N,)."""
         self._rest = np.array(q, dtype=np.float64)
 
     def _scale_angles(self, q: Array) -> Array:
         """Take joint angles (N,), and return those that move the tool, scaled and inside."""
-        self.hold(q)
+        self.hold_joints(q)
         return self._clamp_angles(q[self._to_tool] / self.kinematics.step_scale)
 
     def _convert_angles(self, x: Array) -> Array:
@@ -103,7 +103,7 @@ class InverseKinematics:
         """Whether the tool is at its target there."""
         return bool(_compute_size(self.error) <= REACHED)
 
-    def aim(self, target: Pose, q: Array) -> None:
+    def set_target(self, target: Pose, q: Array) -> None:
         """Seek another target, from the angles found or from q (N,), whichever are nearer to it.
 
         After one that was not reached the arm is stretched, and could bend to either side. So a
@@ -115,38 +115,38 @@ class InverseKinematics:
         x = self._scale_angles(q)
         candidates = [(start_x, self._compute_error(start_x)) for start_x in (self._x, x)]
         start, error = min(candidates, key=lambda start_x: _compute_size(start_x[1]))
-        self._start(start, error)
+        self._start_from(start, error)
         if self.returning and _compute_size(self.error) < left:
-            self._start(self._reached)
+            self._start_from(self._reached)
             for _ in range(_RETURN_STEPS):
                 if self.settled or _compute_size(self.error) <= _LEEWAY:
                     break
-                self._step()
+                self._iterate_once()
             if _compute_size(self.error) > _LEEWAY:
-                self._start(start)
+                self._start_from(start)
 
-    def _start(self, x: Array, error: Array | None = None) -> None:
+    def _start_from(self, x: Array, error: Array | None = None) -> None:
         self._x, self.error = x, self._compute_error(x) if error is None else error
         self._damping = 1.0
         self._steps = 0
         self._size_before = math.inf
         self.settled = False
 
-    def take(self, q: Array) -> None:
+    def take_angles(self, q: Array) -> None:
         """Take joint angles (N,) that were found elsewhere for the target."""
         self._x = self._scale_angles(q)
         self.error = self._compute_error(self._x)
         self.settled = True
         self._reached = self._x
 
-    def approach(self, steps: int) -> None:
+    def iterate_steps(self, steps: int) -> None:
         """Take at most this many steps."""
         for _ in range(steps):
             if self.settled:
                 return
-            self._step()
+            self._iterate_once()
 
-    def _step(self) -> None:
+    def _iterate_once(self) -> None:
         e, J = self._compute_error_and_jacobian(self._x)
         size = _compute_size(e)
         self._steps += 1

@@ -102,14 +102,14 @@ class ArmTree(SharedObject):
         )
         self._library = path_library()
 
-    def forward(self, q: Array) -> tuple[Array, Array]:
+    def compute_tool_poses(self, q: Array) -> tuple[Array, Array]:
         """Return tool positions (K, 3) [m] and rotations (K, 3, 3) of configurations (K, N)."""
         q = self._compute_joints(q)
         p, R = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
         self._library.path_forward(self.struct, len(q), pointer(q), pointer(p), pointer(R))
         return p, R
 
-    def torques(self, q: Array, v: Array, a: Array) -> Array:
+    def compute_torques(self, q: Array, v: Array, a: Array) -> Array:
         """Return the torques of the links, (K, N) [N m or N]."""
         q = self._compute_joints(q)
         v, a = (np.ascontiguousarray(rate @ self._coupling.T) for rate in (v, a))
@@ -117,7 +117,7 @@ class ArmTree(SharedObject):
         self._library.path_torques(self.struct, len(q), *map(pointer, (q, v, a, tau)))
         return np.asarray(tau @ self._coupling)
 
-    def trace(
+    def trace_poses(
         self,
         start: Array,
         p: Array,

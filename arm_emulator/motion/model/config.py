@@ -267,7 +267,7 @@ class MotionConfig(SharedObject):
             Refusal: one that is not taken, see `check_shaper`.
         """
         check_shaper(self.shaper, self.modes, self.method, self.where)
-        return InputShaper.design(self.shaper, self.modes)
+        return InputShaper.compute_shaper(self.shaper, self.modes)
 
     def add_sections(self, sections: Mapping[str, Any], where: str) -> Self:
         """Return the parameters with those of the sections."""

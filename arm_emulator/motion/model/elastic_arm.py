@@ -67,7 +67,7 @@ class ElasticArm:
         self.dry = self._of_link[1] + self._of_rotor[1]
         """Dry friction of links and rotors (N,) [N m]."""
 
-    def at(
+    def compute_drive(
         self,
         q: Array,
         v: Array,
@@ -79,14 +79,14 @@ class ElasticArm:
 
         `factor` multiplies the torques that the links need by their description (N,).
         """
-        torque, rate = self._links.rates(q, v, a, jerk)
+        torque, rate = self._links.compute_rates(q, v, a, jerk)
         friction, slope = self._compute_friction(self._of_link, v)
         torque, rate = factor * torque + friction, factor * rate + slope * a
-        softness = self._compute_slope(self.wind_up(torque))
-        wind_up = self.wind_up(torque - self._damping * rate * softness)
+        softness = self._compute_slope(self.compute_wind_up(torque))
+        wind_up = self.compute_wind_up(torque - self._damping * rate * softness)
         return Drive(q + wind_up, v + rate * self._compute_slope(wind_up), torque, rate)
 
-    def over(self, begins: Drive, ends: Drive, period: float) -> Array:
+    def compute_mean_torques(self, begins: Drive, ends: Drive, period: float) -> Array:
         """Return the mean torques of gears and rotors' friction in a period, (N,) [N m].
 
         The gears' part is the integral of the cubic through torques and rates at both ends.
@@ -96,15 +96,15 @@ class ElasticArm:
         omega = 0.5 * (begins.omega + ends.omega)
         return gear + self._compute_friction(self._of_rotor, omega)[0]
 
-    def sliding(self, v: Array) -> Array:
+    def compute_sliding_share(self, v: Array) -> Array:
         """Return the share of dry friction that acts at speeds v (N,), 0 to 1."""
         return np.asarray(np.abs(v) / np.hypot(v, self._smooth))
 
-    def weight(self, q: Array) -> Array:
+    def compute_weight(self, q: Array) -> Array:
         """Return the torques that the gears carry at rest (N,) [N m]."""
-        return self._links.at(q, np.zeros_like(q))
+        return self._links.compute_torques(q, np.zeros_like(q))
 
-    def wind_up(self, torque: Array) -> Array:
+    def compute_wind_up(self, torque: Array) -> Array:
         """Return the wind-up of the gears under torques at rest, (N,) [rad]."""
         linear = torque * self.softness
         cubic = self._cubic * self.softness

@@ -71,7 +71,7 @@ class InputShaper(ArrayEquality):
         return float(self.times[-1])
 
     @classmethod
-    def design(cls, kind: str, modes: Sequence[ShapedMode]) -> Self:
+    def compute_shaper(cls, kind: str, modes: Sequence[ShapedMode]) -> Self:
         """Return the shaper of a kind for some modes; without any it changes nothing."""
         times, shares = np.zeros(1), np.ones(1)
         for mode in modes if kind != "none" else ():
@@ -94,7 +94,7 @@ def check_shaper(kind: str, modes: Sequence[ShapedMode], method: str, where: str
         raise Refusal(where, "parameter shaper", "come with modes", f"{kind!r} alone", valid)
     if method == "paper":
         raise Refusal(where, "parameter shaper", "be none with the method paper", repr(kind))
-    delay = InputShaper.design(kind, modes).delay
+    delay = InputShaper.compute_shaper(kind, modes).delay
     if delay > LONGEST:
         rule = f"be of frequencies that delay a motion by at most {LONGEST:g} s"
         raise Refusal(where, MODES, rule, f"{delay:.3g} s")

@@ -22,7 +22,7 @@ class ReferenceMotion(Protocol):
     def duration(self) -> float:
         """See above."""
 
-    def at(self, time: float) -> Reference:
+    def evaluate_at(self, time: float) -> Reference:
         """Return the joints at a time since its begin [s]."""
 
 
@@ -39,14 +39,14 @@ class Reference:
     jerk: Array | None = None
     """Link jerks until they change next [rad/s3 or m/s3]; None: not known."""
 
-    def after(self, period: float, q: Array) -> Reference:
+    def extrapolate_to(self, period: float, q: Array) -> Reference:
         """Return the motion after a period [s] at whose end the joints are at q (N,)."""
         jerk = np.zeros_like(q) if self.jerk is None else self.jerk
         v = self.v + self.a * period + 0.5 * jerk * period**2
         return Reference(q, v, self.a + jerk * period, jerk)
 
     @classmethod
-    def at_rest(cls, q: Array) -> Reference:
+    def make_rest(cls, q: Array) -> Reference:
         """Return joints at rest."""
         still = np.zeros_like(q)
         return cls(q, still, still, still)

@@ -35,7 +35,7 @@ class LinkMotions:
         }
         self.names = tuple(self._frames)
 
-    def place(self, q: Array, v: Array) -> None:
+    def place_links(self, q: Array, v: Array) -> None:
         """Place the links, for positions q and speeds v of the shafts (N,) [rad or m, s]."""
         shafts = self._shafts
         at, speeds = pin.neutral(self._model), np.zeros(self._model.nv)
@@ -48,12 +48,12 @@ class LinkMotions:
         pin.forwardKinematics(self._model, self._data, at, speeds)
         pin.updateFramePlacements(self._model, self._data)
 
-    def pose(self, link: str) -> tuple[Array, Array]:
+    def get_pose(self, link: str) -> tuple[Array, Array]:
         """Return where a link was placed: p_WL (3,) [m], and x, y, z, w of its quaternion (4,)."""
         place = self._data.oMf[self._frames[link]]
         return np.array(place.translation), np.array(pin.Quaternion(place.rotation).coeffs())
 
-    def twist(self, link: str) -> tuple[Array, Array]:
+    def get_twist(self, link: str) -> tuple[Array, Array]:
         """Return a link's speeds along the world's axes: of its origin [m/s], angular [rad/s]."""
         frame, axes = self._frames[link], pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         twist = pin.getFrameVelocity(self._model, self._data, frame, axes)

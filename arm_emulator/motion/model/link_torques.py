@@ -43,10 +43,10 @@ class LinkTorques(SharedObject):
             [self._model.getJointId(JOINT + n) for n in joint_names]
         )
         still = np.zeros(len(joint_names))
-        if not np.isfinite(self.at(still, still)).all():
+        if not np.isfinite(self.compute_torques(still, still)).all():
             raise Refusal("robot_description", "its masses", "be finite", "others")
 
-    def at(self, q: Array, v: Array, a: Array | None = None) -> Array:
+    def compute_torques(self, q: Array, v: Array, a: Array | None = None) -> Array:
         """Return the torques (N,) [N m] at angles [rad], speeds [rad/s], accelerations [rad/s2]."""
         configuration, full_v, full_a = self._expand_joints(
             q, v, np.zeros_like(v) if a is None else a
@@ -54,7 +54,7 @@ class LinkTorques(SharedObject):
         tau = pin.rnea(self._model, self._data, configuration, full_v, full_a)
         return self._shafts.columns(np.asarray(tau[self._columns], dtype=np.float64))
 
-    def rates(self, q: Array, v: Array, a: Array, jerk: Array) -> tuple[Array, Array]:
+    def compute_rates(self, q: Array, v: Array, a: Array, jerk: Array) -> tuple[Array, Array]:
         """Return the torques (N,) and their rates (N,) [N m/s], with jerks [rad/s3]."""
         expanded = self._expand_joints(q, v, a)
         by_q, by_v, M = pin.computeRNEADerivatives(self._model, self._data, *expanded)

@@ -46,13 +46,13 @@ class Pose(ArrayEquality):
             raise Refusal("Pose", "R_WT", rule, f"one off by {off:.3g}")
         if np.linalg.det(R) < 0.0:
             raise Refusal("Pose", "R_WT", "be a rotation", "a reflection")
-        _keep(self, p, R)
+        _store_arrays(self, p, R)
 
     @classmethod
     def computed(cls, p_WT: Array, R_WT: Array) -> Self:
         """Take both over as they are: results of a computation from poses."""
         pose = cls.__new__(cls)
-        _keep(pose, p_WT, R_WT)
+        _store_arrays(pose, p_WT, R_WT)
         return pose
 
     @classmethod
@@ -107,7 +107,7 @@ class Pose(ArrayEquality):
         return -q if q[3] < 0.0 else q
 
 
-def _keep(pose: Pose, p_WT: Array, R_WT: Array) -> None:
+def _store_arrays(pose: Pose, p_WT: Array, R_WT: Array) -> None:
     for name, array in (("p_WT", p_WT), ("R_WT", R_WT)):
         array.setflags(write=False)
         object.__setattr__(pose, name, array)

@@ -82,16 +82,16 @@ class CandidatePaths:
         Raises:
             Refusal: a way needs more torque than the limits, and is not gone.
         """
-        along = JointCurve.line(self._start, end)
+        along = JointCurve.make_line(self._start, end)
         joints: TimedPath | None = None
         slow, reverse_last = None, True
         if isinstance(line, JointCurve):
-            straight = self._time_curve(line)
+            straight = self._schedule_curve(line)
             longest = (
                 MUCH_LONGER * compute_joints_duration(end - self._start, self._limits) + LONGER
             )
             if straight.duration > longest:
-                joints = self._time_curve(along)
+                joints = self._schedule_curve(along)
                 longest = MUCH_LONGER * joints.duration + LONGER
             if straight.duration <= longest:
                 yield CandidatePath(self._limit_tool(straight), "along the tool's line", end)
@@ -105,10 +105,10 @@ class CandidatePaths:
                     "the tool's passes near a singular pose and would take "
                     f"{straight.duration:.3g} s instead of {joints.duration:.3g} s"
                 )
-        joints = joints or self._time_curve(along)
+        joints = joints or self._schedule_curve(along)
         free = self._follow_joints(end)
         if isinstance(free, JointCurve):
-            straight = self._time_curve(free)
+            straight = self._schedule_curve(free)
             if straight.duration <= MUCH_LONGER * joints.duration + LONGER:
                 words = f"along the tool's line, turning as the joints do: {line}"
                 yield CandidatePath(self._limit_tool(straight), words, end)
@@ -118,7 +118,7 @@ class CandidatePaths:
             arc = find_joint_arc(self._arm, self._start, end)
             if arc is not None:
                 yield CandidatePath(
-                    self._time_curve(arc), f"along an arc of the joints: {line}", end
+                    self._schedule_curve(arc), f"along an arc of the joints: {line}", end
                 )
         if past <= FARTHEST_PAST:
             yield CandidatePath(joints, f"along the joints' line: {line}", end)
@@ -130,7 +130,7 @@ class CandidatePaths:
 
     def refuse_overshoot(self, end: Array) -> Overshoot:
         """Return the refusal of joint angles (N,) to which no way leads."""
-        past = measure_overshoot(self._arm, JointCurve.line(self._start, end)) * 1e3
+        past = measure_overshoot(self._arm, JointCurve.make_line(self._start, end)) * 1e3
         rule = f"take the tool at most {FARTHEST_PAST * 1e3:g} mm past its end"
         valid = "a target on the way, or a joint trajectory"
         return Overshoot(
@@ -147,21 +147,21 @@ class CandidatePaths:
         curve = trace_line(self._arm, self._start, *ends, None, long_rotation=True)
         if isinstance(curve, JointCurve):
             words = f"along the tool's line, turning the other way round: {why}"
-            yield CandidatePath(self._limit_tool(self._time_curve(curve)), words, curve.end)
+            yield CandidatePath(self._limit_tool(self._schedule_curve(curve)), words, curve.end)
 
     def _follow_joints(self, end: Array) -> JointCurve | str:
         """Return the joints' curve to their angles at the end on which the tool goes straight."""
         if self._arm.kinematics.to_tool.sum() <= POSITION_ROWS:
             return "the tool's place alone determines the joints"
-        p, R = self._arm.forward(np.stack([self._start, end]))
+        p, R = self._arm.compute_tool_poses(np.stack([self._start, end]))
         begin, to = (Pose.computed(p[k], R[k]) for k in range(2))
         return trace_line(self._arm, self._start, begin, to, end, False)
 
     def _limit_tool(self, path: TimedPath) -> TimedPath:
         """Return a way along the tool's line within the limits of the tool."""
-        return path if self._along is None else self._time_curve(path.curve, self._along)
+        return path if self._along is None else self._schedule_curve(path.curve, self._along)
 
-    def _time_curve(self, curve: JointCurve, along: ToolPathLimits | None = None) -> TimedPath:
+    def _schedule_curve(self, curve: JointCurve, along: ToolPathLimits | None = None) -> TimedPath:
         try:
             return TimedPath(curve, self._limits, self._arm, along, where=self._where)
         except Refusal as reason:  # the arm exceeds the torques of its description there
@@ -207,7 +207,7 @@ def measure_overshoot(arm: ArmTree, curve: JointCurve) -> float:
 
     A tool that comes to rest where it began has no such line: 0.
     """
-    return float(_measure_past(arm, curve.derivatives(_LOOKS_AGAIN)[0][None])[0])
+    return float(_measure_past(arm, curve.compute_derivatives(_LOOKS_AGAIN)[0][None])[0])
 
 
 def find_joint_arc(arm: ArmTree, start: Array, end: Array) -> JointCurve | None:
@@ -242,7 +242,7 @@ def find_joint_arc(arm: ArmTree, start: Array, end: Array) -> JointCurve | None:
 
 def _measure_past(arm: ArmTree, q: Array) -> Array:
     """Return how far the tool goes past its end on curves (K, looks, N), (K,) [m]."""
-    p = arm.forward(q.reshape(-1, q.shape[-1]))[0].reshape(*q.shape[:2], 3)
+    p = arm.compute_tool_poses(q.reshape(-1, q.shape[-1]))[0].reshape(*q.shape[:2], 3)
     line = p[:, -1] - p[:, 0]
     length = np.sqrt(np.einsum("ki,ki->k", line, line))
     along = np.einsum("kli,ki->kl", p - p[:, -1:], line).max(axis=1)

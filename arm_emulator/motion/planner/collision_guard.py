@@ -71,9 +71,9 @@ class CollisionGuard:
         return ""
 
     def is_free(self, motion: ReferenceMotion) -> bool:
-        """Whether no parts touch on a motion that `check` has passed, nor after it."""
-        end = motion.at(motion.duration)
-        return not end.v.any() and not self.collisions.find_first_contact(motion.at(0.0).q)
+        """Whether no parts touch on a motion that `check_motion` has passed, nor after it."""
+        end = motion.evaluate_at(motion.duration)
+        return not end.v.any() and not self.collisions.find_first_contact(motion.evaluate_at(0.0).q)
 
     def find_contact_along(self, angles: Angles) -> tuple[float, str] | None:
         """Return at which part of a way parts touch first, and which; None: they do not."""
@@ -130,10 +130,10 @@ class CollisionGuard:
             gaps = tested.measure_gaps([*places], angles(np.array([*places.values()])))
             for k, place in places.items():
                 if k not in gaps and place < end:
-                    end, contact = place, (place, tested.name(k))
+                    end, contact = place, (place, tested.name_pair(k))
         return contact
 
-    def check(self, where: str, angles: Angles) -> None:
+    def check_motion(self, where: str, angles: Angles) -> None:
         """Check a whole motion before it begins."""
         contact = self.find_contact_along(angles)
         if contact is None:

@@ -122,7 +122,7 @@ class JacobianController:
         q = self.kinematics.vector(q)
         with np.errstate(all="ignore"):  # the result is checked
             try:
-                q_target, error, notices = self._step(q, target)
+                q_target, error, notices = self._compute_step(q, target)
             except np.linalg.LinAlgError:  # the Jacobian is not finite
                 q_target = np.full_like(q, math.nan)
         if not np.isfinite(q_target).all():
@@ -130,7 +130,7 @@ class JacobianController:
         self.error, self.notices = error, tuple(notices)
         return JointSetpoint(q_target)
 
-    def _step(self, q: Array, target: Pose) -> tuple[Array, Array, list[str]]:
+    def _compute_step(self, q: Array, target: Pose) -> tuple[Array, Array, list[str]]:
         """Return q_target, the tool's error, and limits of the step as text."""
         error = self.kinematics.tool_error(q, target)
         scale = self.kinematics.scale

@@ -54,15 +54,15 @@ class StretchedTrajectory(MotionSequence):
         self._runs, self.path_text = runs, path_text
         self.duration = round(self.duration / _SECONDS) * _SECONDS
 
-    def at(self, time: float) -> Reference:
+    def evaluate_at(self, time: float) -> Reference:
         """See `ReferenceMotion`; at whole nanoseconds, as all times of trajectories."""
-        return super().at(round(time / _SECONDS) * _SECONDS)
+        return super().evaluate_at(round(time / _SECONDS) * _SECONDS)
 
     def find_requested_ns(self, time: float) -> int:
         """See `TimedMotion`."""
         for (begin, end, run), since in zip(self._runs, self.begins[1:], strict=False):
             if time < since + run.duration:
-                return begin + round(run.place(time - since) * (end - begin))
+                return begin + round(run.compute_distance(time - since) * (end - begin))
         return self._runs[-1][1]
 
 
@@ -77,7 +77,7 @@ class DelayedTrajectory(Resumed):
 
     def find_requested_ns(self, time: float) -> int:
         """See `TimedMotion`."""
-        return self._before.find_requested_ns(self.place(time))
+        return self._before.find_requested_ns(self.map_time(time))
 
 
 def fit_trajectory(
@@ -93,7 +93,7 @@ def fit_trajectory(
     Raises:
         Refusal: it cannot be begun so, or is faster than the limits and must not be scaled.
     """
-    motion = trajectory.begin(now_ns, start_ns, now)
+    motion = trajectory.begin_motion(now_ns, start_ns, now)
     beyond = "" if trajectory.is_stop else find_excess(law, motion, now)
     if not beyond:
         return motion
@@ -101,8 +101,8 @@ def fit_trajectory(
         rule = "keep the limits (trajectory_limits: scale makes it slower)"
         raise Refusal(WHERE, "the points", rule, beyond)
     stop = law.plan_stop(now)
-    still = Reference.at_rest(stop.at(stop.duration).q)
-    motion = trajectory.begin(now_ns, start_ns, still)
+    still = Reference.make_rest(stop.evaluate_at(stop.duration).q)
+    motion = trajectory.begin_motion(now_ns, start_ns, still)
     runs = [
         (
             begin,
@@ -156,7 +156,7 @@ def _find_steps(motion: JointMotion, now: Reference) -> Array:
 def _split_runs(law: TargetPlanner, motion: JointMotion) -> list[tuple[int, int, JointCurve]]:
     """Return the stretches of a motion between steps of its speed: begin, end [ns], curve."""
     times = [*motion.starts_ns, motion.end_ns]
-    steps = _find_steps(motion, Reference.at_rest(motion.coefficients[0, 0])) / law.limits.speed
+    steps = _find_steps(motion, Reference.make_rest(motion.coefficients[0, 0])) / law.limits.speed
     cut = [k for k in range(1, len(times) - 1) if steps[k].max() > _STEP]
     ends = [0, *cut, len(times) - 1]
     runs = []

@@ -85,11 +85,11 @@ class TargetPlanner:
         """Checks motions before they begin; None: nobody does."""
         self._began = False
         self._target: Pose | None
-        self._forget()
+        self._forget_motion()
         self._motion: ReferenceMotion
         self._coming: Reference | None = None  # `coming`, once it was asked for
         self._time = 0.0
-        self._take(Reference.at_rest(np.zeros(len(kinematics.joint_names))))
+        self._take_over(Reference.make_rest(np.zeros(len(kinematics.joint_names))))
 
     def retune(self, config: MotionConfig) -> None:
         """Continue with other limits, from the next path on.
@@ -107,7 +107,7 @@ class TargetPlanner:
             q: [rad or m].
             v: joint speeds (N,) [rad/s or m/s]; None: at rest.
         """
-        here = Reference.at_rest(self.kinematics.vector(q).copy())
+        here = Reference.make_rest(self.kinematics.vector(q).copy())
         if v is not None:
             here = replace(here, v=self.kinematics.vector(v).copy())
         self.begin_moving(here)
@@ -115,13 +115,13 @@ class TargetPlanner:
     def begin_moving(self, now: Reference) -> None:
         """Begin with the joints' motion."""
         self._began = True
-        self._take(now)
+        self._take_over(now)
 
     @property
     def coming(self) -> Reference:
         """Commanded motion of the joints at the next motion period."""
         if self._coming is None:
-            self._coming = self._motion.at(self._time)
+            self._coming = self._motion.evaluate_at(self._time)
         return self._coming
 
     @property
@@ -161,12 +161,12 @@ class TargetPlanner:
         notices = self._find_reference(q)
         now = self.coming
         if target is not self._target and not _is_same(target, self._target):
-            self._aim(target, now)
+            self._plan_to(target, now)
         self._target = target
         try:
             self._find_path(now, notices)
         except PlanningError:
-            self._forget()  # the same target is a new one
+            self._forget_motion()  # the same target is a new one
             raise
         if not self._seeking and not self._goal.is_reached:
             notices.append(self._describe_unreachable())
@@ -184,8 +184,8 @@ class TargetPlanner:
 
     def follow(self, motion: ReferenceMotion, path_text: str) -> None:
         """Follow a motion that begins with the joints' commanded motion, from now on."""
-        self._forget()
-        self._follow(motion, path_text)
+        self._forget_motion()
+        self._begin_motion(motion, path_text)
 
     def go_on(self, q: Array, end: Pose) -> JointSetpoint:
         """Return the present joint targets, and advance along the motion."""
@@ -207,18 +207,18 @@ class TargetPlanner:
         self.top_speed = np.minimum(self.kinematics.velocity_limit, config.velocity_limit)
         """Bounds of requested speeds (N,): without the reserve for swinging links."""
 
-    def _take(self, now: Reference) -> None:
+    def _take_over(self, now: Reference) -> None:
         """Set the reference to the joints' motion, and bring it to rest."""
-        self._goal.begin(now.q)
-        self._forget()
-        self._follow(self.plan_stop(now), "")
+        self._goal.set_posture(now.q)
+        self._forget_motion()
+        self._begin_motion(self.plan_stop(now), "")
 
-    def _forget(self) -> None:
+    def _forget_motion(self) -> None:
         self._target = None
         self._seeking, self._looking, self._waits = 0, False, 0
         self._past_end: Overshoot | None = None  # why the way to the first joint angles is not gone
 
-    def _follow(self, motion: ReferenceMotion, path_text: str) -> None:
+    def _begin_motion(self, motion: ReferenceMotion, path_text: str) -> None:
         self._motion, self._time, self._coming, self.path_text = motion, 0.0, None, path_text
 
     def plan_stop(self, now: Reference) -> ReferenceMotion:
@@ -243,11 +243,11 @@ class TargetPlanner:
             notices.append(f"the arm was {off:.2g} rad from its reference, which began anew there")
         return notices
 
-    def _aim(self, target: Pose, now: Reference) -> None:
-        self._goal.aim(target, now.q)
+    def _plan_to(self, target: Pose, now: Reference) -> None:
+        self._goal.set_target(target, now.q)
         if not self._is_still(now) and not self.kinematics.to_tool.all():
             stop = self.plan_stop(now)
-            self._goal.hold(stop.at(stop.duration).q)
+            self._goal.hold_joints(stop.evaluate_at(stop.duration).q)
         self._looking, self._waits, self._past_end = False, 0, None
         self._seeking = 1
         self._followed: JointCurve | str = ""
@@ -265,18 +265,18 @@ class TargetPlanner:
         scale = self.kinematics.joint_scale
         far = float(np.abs((end - now.q) / scale).max())
         if far > _FAR:
-            self._goal.approach(_FAR_STEPS)
+            self._goal.iterate_steps(_FAR_STEPS)
             distance = float(np.abs((self._goal.q - now.q) / scale).max())
             if self._goal.is_reached and distance < _NEARER * far:
                 self._followed = "the tool's leads to joint angles that are farther away"
                 return
-        self._goal.take(end)
+        self._goal.take_angles(end)
 
     def _iterate_ik(self, now: Reference, notices: list[str]) -> None:
         """Search the joint angles of the target, and move there."""
         assert self._target is not None
         goal = self._goal
-        goal.approach(_STEPS)
+        goal.iterate_steps(_STEPS)
         still = self._is_still(now)
         self._seeking = 0 if goal.settled else self._seeking + 1
         if still and 0 < self._seeking < _LONGEST_SEEK:  # until it knows the end of its way
@@ -313,7 +313,7 @@ class TargetPlanner:
             now, self._goal.q, self.limits, kinematics.lower, kinematics.upper
         )
         self._check_motion(motion)
-        self._follow(
+        self._begin_motion(
             motion, "from its motion along a way of the joints: the target came on the way"
         )
         if motion.stops:  # from rest it goes on
@@ -335,8 +335,8 @@ class TargetPlanner:
                 continue
             notices += candidates.notices
             if candidate.end is not end:
-                self._goal.take(candidate.end)
-            self._follow(candidate.path, candidate.words)
+                self._goal.take_angles(candidate.end)
+            self._begin_motion(candidate.path, candidate.words)
             return
         if refused is not None:
             raise refused
@@ -347,7 +347,7 @@ class TargetPlanner:
 
     def _check_motion(self, motion: ReferenceMotion) -> None:
         if self.guard is not None:
-            self.guard.check(WHERE, sample_angles(motion))
+            self.guard.check_motion(WHERE, sample_angles(motion))
 
     def _search_configurations(self, now: Reference, notices: list[str]) -> None:
         """Search for a configuration that reaches; while it takes long, at the nearest point."""
@@ -356,10 +356,10 @@ class TargetPlanner:
                 self._start_search(now)
             return
         # As many per time whatever the period: all are tried within 0.7 s.
-        angles = self._elsewhere.search(max(3, round(self.period / _SEARCH_TIME)))
+        angles = self._elsewhere.search_steps(max(3, round(self.period / _SEARCH_TIME)))
         self._waits -= 1
         if angles is not None:
-            self._goal.take(angles)
+            self._goal.take_angles(angles)
             try:
                 self._start_motion(now, "another configuration reaches the target", notices)
             except Overshoot as reason:
@@ -380,7 +380,7 @@ class TargetPlanner:
     def _start_search(self, now: Reference) -> None:
         assert self._target is not None
         self._looking = True
-        self._elsewhere.begin(self._target, now.q)
+        self._elsewhere.begin_search(self._target, now.q)
 
     def _describe_unreachable(self) -> str:
         goal, kinematics = self._goal, self.kinematics
@@ -400,8 +400,8 @@ class TargetPlanner:
 def sample_angles(motion: ReferenceMotion) -> Callable[[Array], Array]:
     """Return joint angles (K, N) at parts of a motion (K,): of its curve where it has one."""
     if isinstance(motion, TimedPath):
-        return lambda part: np.asarray(motion.curve.derivatives(part)[0])
-    return lambda part: np.array([motion.at(time).q for time in part * motion.duration])
+        return lambda part: np.asarray(motion.curve.compute_derivatives(part)[0])
+    return lambda part: np.array([motion.evaluate_at(time).q for time in part * motion.duration])
 
 
 def make_joint_path_limits(kinematics: Kinematics, config: MotionConfig) -> JointPathLimits:

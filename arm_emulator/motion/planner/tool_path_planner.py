@@ -45,10 +45,10 @@ class MotionSequence:
             self.begins.append(self.begins[-1] + motion.duration)
         self.duration = self.begins[-1]
 
-    def at(self, time: float) -> Reference:
+    def evaluate_at(self, time: float) -> Reference:
         """Return the joints at a time since the begin [s]."""
         k = min(max(0, bisect.bisect_right(self.begins, time) - 1), len(self.motions) - 1)
-        return self.motions[k].at(time - self.begins[k])
+        return self.motions[k].evaluate_at(time - self.begins[k])
 
 
 def plan_path(
@@ -60,9 +60,9 @@ def plan_path(
         Refusal: some place of it cannot be reached, or not by its time.
     """
     stop = law.plan_stop(now)
-    rest = stop.at(stop.duration).q
+    rest = stop.evaluate_at(stop.duration).q
     approach = _plan_approach(law, rest, path)
-    start = approach.at(approach.duration).q
+    start = approach.evaluate_at(approach.duration).q
     before: list[ReferenceMotion] = [stop, approach]
     arrival = stop.duration + approach.duration
     if path.times_ns is not None:
@@ -96,9 +96,9 @@ def _plan_approach(law: TargetPlanner, q: Array, path: ToolPath) -> ReferenceMot
         end = line.end
     else:
         goal = InverseKinematics(kinematics)
-        goal.begin(law.posture)
-        goal.aim(to, q)
-        goal.approach(_SETTLING_STEPS)
+        goal.set_posture(law.posture)
+        goal.set_target(to, q)
+        goal.iterate_steps(_SETTLING_STEPS)
         if not goal.is_reached:
             error = goal.error[:3] / kinematics.scale[:3]
             value = f"one {np.linalg.norm(error):.3g} m beyond the nearest point"
@@ -107,7 +107,7 @@ def _plan_approach(law: TargetPlanner, q: Array, path: ToolPath) -> ReferenceMot
         line = trace_line(law.arm, q, begin, to, end)
     turned = float(np.linalg.norm(off[3:])) if kinematics.has_orientation else 0.0
     length = max(float(np.linalg.norm(to.p_WT - p_WT)), limits.per_turn * turned)
-    along = ToolPathLimits.straight(length, limits.speed, limits.acceleration, limits.jerk)
+    along = ToolPathLimits.limit_line(length, limits.speed, limits.acceleration, limits.jerk)
     candidates = CandidatePaths(law.arm, law.limits, q, to, along, heavy=False, where=WHERE)
     for candidate in candidates.generate_paths(end, line):
         return candidate.path
@@ -170,12 +170,12 @@ def _plan_timed(
     distance = TimedDistance(times, curve.at_poses, stops)
     count = min(max(FEWEST_NODES, math.ceil(duration / _NODE_TIME)), MAX_NODES)
 
-    def measure(s: Array) -> Array:
-        return distance.at(s * duration)
+    def measure_distance(s: Array) -> Array:
+        return distance.evaluate_at(s * duration)
 
-    q = _trace_joints(law, path, start, [measure(np.arange(1, count + 1) / count)])
+    q = _trace_joints(law, path, start, [measure_distance(np.arange(1, count + 1) / count)])
     joints = JointCurve.fit_spline(q)
-    _check_between(law, path, joints, measure)
+    _check_between(law, path, joints, measure_distance)
     exact = ConstantRateCurve(joints, duration)
     beyond = exact.find_excess(law)
     if not beyond:
@@ -184,7 +184,7 @@ def _plan_timed(
         j, share, s = beyond[:3]
         name = law.kinematics.joint_names[j]
         rule = f"keep the limits of {name}; with trajectory_limits: scale it takes longer"
-        value = f"{share:.3g} times its {beyond[3]} {path.place(float(measure(np.array([s]))[0]))}"
+        value = f"{share:.3g} times its {beyond[3]} {path.describe_place(float(measure_distance(np.array([s]))[0]))}"
         raise Refusal(WHERE, "the path", rule, value)
     return [TimedPath(joints, law.limits, law.arm, requested=duration, where=WHERE)]
 
@@ -195,10 +195,10 @@ class ConstantRateCurve:
     def __init__(self, curve: JointCurve, duration: float) -> None:
         self.curve, self.duration = curve, duration
 
-    def at(self, time: float) -> Reference:
+    def evaluate_at(self, time: float) -> Reference:
         """Return the joints at a time since the start [s]."""
         if time >= self.duration:
-            return Reference.at_rest(self.curve.end)
+            return Reference.make_rest(self.curve.end)
         return Reference(
             *self.curve.derive_by_time(max(0.0, time) / self.duration, 1 / self.duration, 0, 0)
         )
@@ -206,7 +206,7 @@ class ConstantRateCurve:
     def find_excess(self, law: TargetPlanner) -> tuple[int, float, float, str] | None:
         """Return joint, ratio to the limit, place and limit of the largest excess."""
         s = np.linspace(0.0, 1.0, 4 * len(self.curve.breaks) + 1)
-        derivatives = self.curve.derivatives(s)
+        derivatives = self.curve.compute_derivatives(s)
         worst = None
         for order, (limit, name) in enumerate(
             ((law.limits.speed, "speed"), (law.limits.acceleration, "acceleration")), start=1
@@ -227,19 +227,21 @@ def _trace_joints(
     poses, arm, kinematics = path.curve.draw_poses(x), law.arm, law.kinematics
     low = np.minimum(kinematics.lower, start) - ROUNDING
     high = np.maximum(kinematics.upper, start) + ROUNDING
-    q = arm.trace(start, poses.p, poses.R)
+    q = arm.trace_poses(start, poses.p, poses.R)
     if len(q) == len(x) + 1 and kinematics.is_redundant:
         goal = InverseKinematics(kinematics)  # redundant joints end where they began after a cycle
-        goal.begin(law.posture)
-        goal.aim(Pose(poses.p[-1], poses.R[-1]), q[-1])
-        goal.approach(_SETTLING_STEPS)
+        goal.set_posture(law.posture)
+        goal.set_target(Pose(poses.p[-1], poses.R[-1]), q[-1])
+        goal.iterate_steps(_SETTLING_STEPS)
         if goal.is_reached:
-            again = arm.trace(start, poses.p, poses.R, goal.q)
+            again = arm.trace_poses(start, poses.p, poses.R, goal.q)
             inside = (again >= low) & (again <= high)
             q = again if len(again) == len(q) and inside.all() else q
     if len(q) <= len(x):
         rule = "be where the arm can follow"
-        raise Refusal(WHERE, "the path", rule, f"a place beyond, {path.place(x[len(q) - 1])}")
+        raise Refusal(
+            WHERE, "the path", rule, f"a place beyond, {path.describe_place(x[len(q) - 1])}"
+        )
     return q
 
 
@@ -251,16 +253,18 @@ def _check_between(law: TargetPlanner, path: ToolPath, joints: JointCurve, measu
         place, j, angle = beyond
         name = kinematics.joint_names[j]
         rule = f"keep {name} within [{kinematics.lower[j]:.4g}, {kinematics.upper[j]:.4g}]"
-        value = f"{angle:.6g} {path.place(float(measure(np.array([place]))[0]))}"
+        value = f"{angle:.6g} {path.describe_place(float(measure(np.array([place]))[0]))}"
         raise Refusal(WHERE, "the path", rule, value)
     breaks = joints.breaks
     s = 0.5 * (breaks[1:] + breaks[:-1])
     x = measure(s)
-    off = measure_errors(law.arm, joints.derivatives(s)[0], path.curve.draw_poses(x))
+    off = measure_errors(law.arm, joints.compute_derivatives(s)[0], path.curve.draw_poses(x))
     k = int(np.argmax(off))
     if off[k] > OFF_THE_PATH:
         rule = "be where the joints can follow without a jump"
-        raise Refusal(WHERE, "the path", rule, f"a singular pose {path.place(float(x[k]))}")
+        raise Refusal(
+            WHERE, "the path", rule, f"a singular pose {path.describe_place(float(x[k]))}"
+        )
 
 
 OFF_THE_PATH = 20.0 * OFF_THE_LINE  # rad, or m per reach: where the curvature steps
@@ -288,7 +292,7 @@ class TimedDistance:
             self._v[1:-1] = (early + late) / (early / m[:-1] + late / m[1:])
         self._v[stops] = 0.0
 
-    def at(self, t: Array) -> Array:
+    def evaluate_at(self, t: Array) -> Array:
         """Return the distances at times (P,) [s]."""
         i = np.clip(np.searchsorted(self._t, t, side="right") - 1, 0, len(self._t) - 2)
         h = self._t[i + 1] - self._t[i]

@@ -60,7 +60,7 @@ class JerkLimitedVelocity:
         for name, values in zip(_NOW, (now.q, now.v, now.a), strict=True):
             setattr(self._in, name, values.tolist())
 
-    def begin(self, now: Reference) -> None:
+    def take_over(self, now: Reference) -> None:
         """Take over a motion."""
         self._in.current_position = now.q.tolist()
         self._in.current_velocity = now.v.tolist()
@@ -121,9 +121,9 @@ class JerkLimitedVelocity:
 
     def stop_joints(self) -> Array:
         """Brake each joint independently for a period; return their mean speeds in it."""
-        return self.accelerate(np.zeros(len(self._lower)), alone=True, together=False)
+        return self.advance_towards(np.zeros(len(self._lower)), alone=True, together=False)
 
-    def accelerate(
+    def advance_towards(
         self, v: Array, alone: bool, together: bool = True, a: Array | None = None
     ) -> Array:
         """Move the joints towards speeds v (N,) for a period; return their mean speeds in it.
@@ -137,14 +137,14 @@ class JerkLimitedVelocity:
         before = np.array(motion.current_position)
         kind = ruckig.Synchronization
         if a is None:
-            self._step(v, kind.Phase if together else kind.No)
+            self._advance_period(v, kind.Phase if together else kind.No)
         else:
             self._step_on(v, a)
         late = self._find_late(before)
         more = late.any()
         while more:
             v = np.where(late if alone else True, 0.0, v)
-            self._step(v, ruckig.Synchronization.No)
+            self._advance_period(v, ruckig.Synchronization.No)
             newly_late = self._find_late(before) & (v != 0.0)
             late, more = late | newly_late, newly_late.any()
         self._out.pass_to_input(motion)
@@ -168,11 +168,11 @@ class JerkLimitedVelocity:
         motion.target_acceleration = np.clip(a, -limit, limit).tolist()
         motion.minimum_duration = self._period
         try:
-            self._step(v, ruckig.Synchronization.Time)
+            self._advance_period(v, ruckig.Synchronization.Time)
         finally:
             motion.target_acceleration, motion.minimum_duration = [0.0] * len(v), None
 
-    def _step(self, v: Array, together: ruckig.Synchronization) -> None:
+    def _advance_period(self, v: Array, together: ruckig.Synchronization) -> None:
         self._in.target_velocity, self._in.synchronization = v.tolist(), together
         self._otg.reset()
         try:

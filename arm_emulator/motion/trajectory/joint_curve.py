@@ -37,7 +37,7 @@ class JointCurve:
         self._factors, self._powers = _derive_powers(coefficients.shape[1])
 
     @classmethod
-    def line(cls, start: Array, end: Array) -> Self:
+    def make_line(cls, start: Array, end: Array) -> Self:
         """Return the straight line between two configurations (N,)."""
         return cls(np.array([0.0, 1.0]), np.stack([start, end - start])[None])
 
@@ -70,7 +70,7 @@ class JointCurve:
     @property
     def end(self) -> Array:
         """Joint angles at s = 1 (N,)."""
-        return np.asarray(self.derivatives(np.ones(1))[0, 0])
+        return np.asarray(self.compute_derivatives(np.ones(1))[0, 0])
 
     def find_exit(self, low: Array, high: Array) -> tuple[float, int, float] | None:
         """Return place, joint and angle where it leaves a range (N,) first; None: nowhere."""
@@ -85,7 +85,7 @@ class JointCurve:
         excess = find_excess(self.coefficients, lengths, 0, low, high)
         return None if excess is None else (float(self.breaks[excess[0]]), *excess[1:])
 
-    def derivatives(self, s: Array) -> Array:
+    def compute_derivatives(self, s: Array) -> Array:
         """Return q and its first three derivatives at places (K,), (4, K, N)."""
         piece = np.searchsorted(self._breaks, s, side="right")
         powers = np.vander(s - self.breaks[piece], self._factors.shape[1], increasing=True)

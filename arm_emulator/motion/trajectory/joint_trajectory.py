@@ -97,7 +97,7 @@ class JointMotion:
         """See `TimedMotion`."""
         return round(time / _SECONDS)
 
-    def at(self, time: float) -> Reference:
+    def evaluate_at(self, time: float) -> Reference:
         """Return the joints at a time since its begin [s]."""
         time_ns = round(time / _SECONDS)
         within = min(time_ns, self.end_ns)
@@ -185,7 +185,7 @@ class JointTrajectory:
         """Whether there are no points: the joints come to rest."""
         return not self.times_ns
 
-    def begin(self, now_ns: int, start_ns: int, now: Reference) -> JointMotion:
+    def begin_motion(self, now_ns: int, start_ns: int, now: Reference) -> JointMotion:
         """Return the motion of all joints from now on.
 
         Args:
@@ -254,9 +254,7 @@ class JointTrajectory:
         ):
             if wrong.any():
                 point, at = np.argwhere(wrong)[0]
-                rule = (
-                    f"keep the limits of {self._name(at)}, {self._format_range(at, field)} {unit}"
-                )
+                rule = f"keep the limits of {self._name_point(at)}, {self._format_range(at, field)} {unit}"
                 raise Refusal(WHERE, f"points[{point}].{field}", rule, f"{table[point, at]:.6g}")
 
     def _check_between(
@@ -280,13 +278,11 @@ class JointTrajectory:
             excess = find_excess(pieces, seconds, order, low, high)
             if excess is not None:
                 piece, at, value = excess
-                rule = (
-                    f"keep the limits of {self._name(at)}, {self._format_range(at, field)} {unit}"
-                )
+                rule = f"keep the limits of {self._name_point(at)}, {self._format_range(at, field)} {unit}"
                 where = f"{quantity}" if len(pieces) == 1 else f"{quantity} after points[{piece}]"
                 raise Refusal(WHERE, where, rule, f"{value:.6g} {unit}")
 
-    def _name(self, at: int) -> str:
+    def _name_point(self, at: int) -> str:
         return self.joint_names[int(self.moved[at])]
 
     def _format_range(self, at: int, field: str) -> str:
@@ -402,7 +398,7 @@ def _shift_piece(motion: JointMotion, start_ns: int) -> Array:
     """Return the piece that holds at a time, in powers of the seconds since then, (6, N)."""
     if start_ns >= motion.end_ns:
         c: Array = np.zeros_like(motion.coefficients[0])
-        c[0] = motion.at(motion.duration).q
+        c[0] = motion.evaluate_at(motion.duration).q
         return c
     piece = max(0, bisect.bisect_right(motion.starts_ns, start_ns) - 1)
     t = (start_ns - motion.starts_ns[piece]) * _SECONDS

@@ -60,11 +60,11 @@ class OnlineTrajectory(SharedObject):
         if not self._is_solved(problem):
             raise ArithmeticError(f"no way to rest was found from q = {now.q}, v = {now.v}")
 
-    def at(self, time: float) -> Reference:
+    def evaluate_at(self, time: float) -> Reference:
         """Return the joints at a time since the start [s]."""
         q, v, a = self._trajectory.at_time(min(max(0.0, time), self.duration))
         if time >= self.duration:
-            return Reference.at_rest(np.array(q))
+            return Reference.make_rest(np.array(q))
         later = self._trajectory.at_time(max(0.0, time) + _MOMENT)[2]
         jerk = (np.array(later) - np.array(a)) / _MOMENT
         return Reference(np.array(q), np.array(v), np.array(a), jerk)
@@ -91,8 +91,8 @@ class Rest:
     """Joints at rest, for a time [s]."""
 
     def __init__(self, q: Array, duration: float = 0.0) -> None:
-        self._reference, self.duration = Reference.at_rest(q), duration
+        self._reference, self.duration = Reference.make_rest(q), duration
 
-    def at(self, time: float) -> Reference:
+    def evaluate_at(self, time: float) -> Reference:
         """Return their position."""
         return self._reference

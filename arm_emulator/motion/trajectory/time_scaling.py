@@ -45,14 +45,14 @@ class TimeScaled:
             self._ramp *= 1.5
         self.duration = self._compute_duration()
 
-    def place(self, time: float) -> float:
+    def map_time(self, time: float) -> float:
         """Return the time within the motion after a time [s]."""
         return self._compute_place(time)[0]
 
-    def at(self, time: float) -> Reference:
+    def evaluate_at(self, time: float) -> Reference:
         """Return the joints at a time since its begin [s]."""
         place, rate, change, bend = self._compute_place(time)
-        original = self._motion.at(place)
+        original = self._motion.evaluate_at(place)
         jerk = None
         if original.jerk is not None:
             jerk = original.jerk * rate**3 + 3.0 * original.a * rate * change + original.v * bend
@@ -74,7 +74,10 @@ class TimeScaled:
     def _is_within_limits(self, limits: JointPathLimits) -> bool:
         """Whether the pace changes within the limits, or those of the motion itself."""
         for time in np.linspace(0.0, min(self._ramp, self._compute_duration()), _LOOKS):
-            scaled, original = self.at(float(time)), self._motion.at(self.place(float(time)))
+            scaled, original = (
+                self.evaluate_at(float(time)),
+                self._motion.evaluate_at(self.map_time(float(time))),
+            )
             pairs = [
                 (scaled.v, original.v, limits.speed),
                 (scaled.a, original.a, limits.acceleration),
@@ -97,7 +100,7 @@ class TimeScaled:
         low, high = 0.0, T
         for _ in range(60):
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if self.place(middle) < self._end else (low, middle)
+            low, high = (middle, high) if self.map_time(middle) < self._end else (low, middle)
         return high
 
 
@@ -120,22 +123,26 @@ class Resumed:
     ) -> None:
         since = min(since, motion.duration)
         times = np.linspace(since, min(motion.duration, since + _SLID), _PLACES)
-        off = [float(np.abs(motion.at(float(t)).q - now.q).max()) for t in times]
+        off = [float(np.abs(motion.evaluate_at(float(t)).q - now.q).max()) for t in times]
         nearest = float(times[int(np.argmin(off))])
-        to = motion.at(nearest).q
+        to = motion.evaluate_at(nearest).q
         apart = np.abs(to - now.q).max() > 1e-12
         self._back: ReferenceMotion = (
-            TimedPath(JointCurve.line(now.q, to), limits) if apart else Rest(to)
+            TimedPath(JointCurve.make_line(now.q, to), limits) if apart else Rest(to)
         )
         self._along = TimeScaled(motion, nearest, 0.0, _RESUMED, limits)
         self.duration = self._back.duration + self._along.duration
         self.path_text = f"goes on, in {self.duration:.3g} s"
 
-    def place(self, time: float) -> float:
+    def map_time(self, time: float) -> float:
         """Return the time within the motion after a time [s]."""
-        return self._along.place(max(0.0, time - self._back.duration))
+        return self._along.map_time(max(0.0, time - self._back.duration))
 
-    def at(self, time: float) -> Reference:
+    def evaluate_at(self, time: float) -> Reference:
         """Return the joints at a time since its begin [s]."""
         resumed_for = time - self._back.duration
-        return self._back.at(time) if resumed_for <= 0.0 else self._along.at(resumed_for)
+        return (
+            self._back.evaluate_at(time)
+            if resumed_for <= 0.0
+            else self._along.evaluate_at(resumed_for)
+        )

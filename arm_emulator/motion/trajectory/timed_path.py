@@ -66,7 +66,7 @@ class ToolPathLimits:
     """Curvature of these parts: acceleration across at speed 1, (S,) [1/m]."""
 
     @classmethod
-    def straight(
+    def limit_line(
         cls, length: float, speed: float, acceleration: float, jerk: float
     ) -> ToolPathLimits:
         """Return those of a line."""
@@ -111,24 +111,24 @@ class TimedPath(SharedObject):
         self._timing = self._find_timing(pieces, arguments, where)
         self.duration = self._timing.duration
 
-    def at(self, time: float) -> Reference:
+    def evaluate_at(self, time: float) -> Reference:
         """Return the joints at a time since the start [s]."""
         q, v, a, jerk = self.curve.derive_by_time(*self._derive_place(time))
         return Reference(q, v, a, jerk)
 
-    def place(self, time: float) -> float:
+    def compute_distance(self, time: float) -> float:
         """Return s at a time since the start [s]."""
         return self._derive_place(time)[0]
 
     def _derive_place(self, time: float) -> tuple[float, float, float, float]:
         """Return s and its first three derivatives by time."""
-        sigma, d1, d2, d3 = self._timing.derivatives(max(0.0, time))
-        s, s1, s2, s3 = self._ramps.at(sigma)
+        sigma, d1, d2, d3 = self._timing.compute_derivatives(max(0.0, time))
+        s, s1, s2, s3 = self._ramps.evaluate_at(sigma)
         return s, s1 * d1, s1 * d2 + s2 * d1**2, s1 * d3 + 3.0 * s2 * d1 * d2 + s3 * d1**3
 
     def _choose_ramp(self) -> tuple[float, int]:
         """Return the share of sigma of the ramps, and its number of pieces."""
-        _, f1, _, _ = self.curve.derivatives(_LOOKS)
+        _, f1, _, _ = self.curve.compute_derivatives(_LOOKS)
         limits, tiny = self._limits, 1e-12
         slow = (np.abs(f1) / limits.speed).max(axis=1) + tiny  # seconds per s
         stiff = (np.abs(f1) / limits.acceleration).max(axis=1) + tiny
@@ -217,10 +217,10 @@ class TimedPath(SharedObject):
 
     def _refuse_torque(self, sigma: float, where: str) -> Refusal:
         assert self._arm is not None
-        s = self._ramps.at(sigma)[0]
-        q = self.curve.derivatives(np.array([s]))[0]
+        s = self._ramps.evaluate_at(sigma)[0]
+        q = self.curve.compute_derivatives(np.array([s]))[0]
         still = np.zeros_like(q)
-        share = np.abs(self._arm.torques(q, still, still)[0]) / self._limits.torque
+        share = np.abs(self._arm.compute_torques(q, still, still)[0]) / self._limits.torque
         j = int(np.argmax(share))
         name = self._arm.kinematics.joint_names[j]
         rule = f"need no more torque of {name} than its limit, {self._limits.torque[j]:.4g} N m"
@@ -251,7 +251,7 @@ class Ramps:
     def __init__(self, ramp: float) -> None:
         self.ramp = ramp
 
-    def at(self, sigma: float) -> tuple[float, float, float, float]:
+    def evaluate_at(self, sigma: float) -> tuple[float, float, float, float]:
         """Return s and its first three derivatives."""
         r, top = self.ramp, 1.0 / (1.0 - self.ramp)
         falling = sigma > 0.5
@@ -294,7 +294,7 @@ class PathTiming:
         self.duration: float = self._times[-1]
         self._polynomials = k.T.tolist()
 
-    def derivatives(self, time: float) -> tuple[float, float, float, float]:
+    def compute_derivatives(self, time: float) -> tuple[float, float, float, float]:
         """Return sigma and its first three derivatives by time [s]."""
         if time >= self.duration:
             return 1.0, 0.0, 0.0, 0.0

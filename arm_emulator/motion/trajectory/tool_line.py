@@ -42,7 +42,7 @@ def trace_line(
         halves = np.arange(1, 2 * nodes + 1) / (2 * nodes)  # and nodes, in turns
         every = sample_line(begin, end, halves, long_rotation)
         poses, expected = every[1::2], every[::2]
-        q = arm.trace(start, poses.p, poses.R, goal, rotates_evenly)
+        q = arm.trace_poses(start, poses.p, poses.R, goal, rotates_evenly)
         if len(q) <= nodes:
             why = f"the arm cannot follow it at {(len(q) - 1) / nodes:.0%} of its length"
             if nodes < NODES[-1] and len(q) > 1:
@@ -54,7 +54,7 @@ def trace_line(
             name = arm.kinematics.joint_names[beyond[1]]
             return f"{name} would leave its limits at {beyond[0]:.0%} of its length"
         between = halves[::2]
-        off = measure_errors(arm, curve.derivatives(between)[0], expected, rotates_evenly)
+        off = measure_errors(arm, curve.compute_derivatives(between)[0], expected, rotates_evenly)
         if float(off.max()) <= OFF_THE_LINE:
             return curve
         why = f"the joints would jump at {between[int(np.argmax(off))]:.0%} of its length"
@@ -64,7 +64,7 @@ def trace_line(
 def measure_errors(arm: ArmTree, q: Array, expected: Poses, rotates_evenly: bool = True) -> Array:
     """Return the tool's distances from poses at joint angles (K, N), scaled, (K,) [rad]."""
     kinematics = arm.kinematics
-    p, R = arm.forward(q)
+    p, R = arm.compute_tool_poses(q)
     off: Array = _measure_rows(p - expected.p) / kinematics.reach
     if rotates_evenly and kinematics.has_orientation:
         # |R - 1| is 2 sqrt(2) sin(angle / 2).

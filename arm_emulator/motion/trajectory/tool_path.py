@@ -107,7 +107,7 @@ class ToolPath:
         """First pose of the path."""
         return self.poses[0]
 
-    def place(self, x: float) -> str:
+    def describe_place(self, x: float) -> str:
         """Return the place of a measure x [m] on the path as text."""
         at = self.curve.at_poses * (self.curve.ends[-1] / max(self.curve.at_poses[-1], SAME))
         k = int(np.clip(np.searchsorted(at, x + SAME, side="right") - 1, 0, len(self.poses) - 1))
@@ -195,13 +195,13 @@ class ToolCurve(SharedObject):
         if arcs:
             segments = _bend_to_arcs(points, segments)
         apart = (segments.distance > SAME) | (np.linalg.norm(segments.turn, axis=1) > SAME)
-        measures = np.where(apart, self._measure(segments), 0.0)
+        measures = np.where(apart, self._measure_length(segments), 0.0)
         self.at_poses = np.concatenate([[0.0], np.cumsum(measures)])
         segments = _Segments(*(column[apart] for column in segments))
         if (blend > 0.0 or rounding > 0.0) and len(segments.distance) > 1:
             segments = _round_corners(segments, blend, rounding)
         self._segments = segments
-        self.length = self._measure(segments)
+        self.length = self._measure_length(segments)
         self.ends = np.cumsum(self.length)
 
     def __len__(self) -> int:
@@ -242,7 +242,7 @@ class ToolCurve(SharedObject):
         orientation = np.linalg.norm(np.diff(turning, axis=0), axis=1)
         return np.asarray(np.maximum(position, orientation))
 
-    def _measure(self, segments: _Segments) -> Array:
+    def _measure_length(self, segments: _Segments) -> Array:
         angle = np.linalg.norm(segments.turn, axis=1)
         return np.asarray(np.maximum(segments.distance, self._per_turn * angle))
 

@@ -186,7 +186,7 @@ def test_the_tool_moves_and_all_beside_it_holds(seed: int) -> None:
     law = TargetPlanner(arm, MotionConfig(tool=arm.tool, period=0.01))
     v = np.where(arm.to_tool, 0.0, rng.uniform(-0.2, 0.2, 9))
     law.begin(q, v)
-    stop = law.motion.at(law.motion.duration).q
+    stop = law.motion.evaluate_at(law.motion.duration).q
     travel = rng.uniform(-0.3, 0.3, 9)
     R_WT, p_WT = arm.forward(q + np.where(arm.to_tool, travel, 0.0))
     target = Pose(p_WT, R_WT)
