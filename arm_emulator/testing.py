@@ -188,7 +188,7 @@ def assert_settles(q: ArrayLike, target: ArrayLike, within: float, last: int) ->
     where, rows, expected = "testing.assert_settles", coerce_array(q), coerce_array(target)
     if rows is None or expected is None:
         raise Refusal(where, "q and target", "be numbers", q if rows is None else target)
-    within = Number("within", at_least=0.0).take(where, within)
+    within = Number("within", at_least=0.0).check_value(where, within)
     if rows.ndim != 2 or expected.shape != rows.shape[1:]:
         rule = "have shapes (K, N) and (N,)"
         raise Refusal(where, "q and target", rule, f"{rows.shape} and {expected.shape}")

@@ -68,7 +68,7 @@ def record(rrd: Path) -> tuple[float, float]:
         stream.offer_target(
             offline_run.session.logical_ns, kinematics.forward(reference.q)[1].tolist()
         )
-        stream.offer(
+        stream.show_state(
             offline_run.session.logical_ns,
             state.q,
             state.v,

@@ -55,10 +55,10 @@ class AnsweredTicks:
         self._pace = own.pace
         self._topic = subscription.topic_name
         plant, scene = own.session.plant, own.session.scene
-        self._log = MIDDLEWARE.new("ros_log")
+        self._log = MIDDLEWARE.make_struct("ros_log")
         self._logged: CData = NULL
         code = answered_ticks()
-        self._struct = ANSWERED_TICKS.new(
+        self._struct = ANSWERED_TICKS.make_struct(
             "answered_ticks",
             at=plant.ticks,
             answers=own.session.command_buffer,

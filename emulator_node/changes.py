@@ -53,7 +53,7 @@ class Changes:
         with self.between_ticks():
             change()
             saved = self._session.plant.save()
-            self._page.take()
+            self._page.show_machine()
             self.reports.publish_event(kind, saved)
             self._breaks.changed()
 

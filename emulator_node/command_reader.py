@@ -43,7 +43,7 @@ class CommandReader:
             {"command": RowBounds(commands[:N], COMMAND)},
             {"tick": at(struct, "tick"), "machine": at(struct, "machine")},
         )
-        MOTOR_COMMANDS.fill(
+        MOTOR_COMMANDS.fill_struct(
             struct,
             reader=reader.struct,
             input_names=reader.field("input_names"),

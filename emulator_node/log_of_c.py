@@ -16,7 +16,7 @@ if TYPE_CHECKING:
         RunRecord,  # a stock machine may lack packages for bags
     )
 
-HEAD = MESSAGES.constant("ROS_LOG_HEAD")
+HEAD = MESSAGES.get_constant("ROS_LOG_HEAD")
 
 
 def compute_log_room(ticks: int, outgoing: Sequence[Outgoing], commands: int) -> int:

@@ -44,16 +44,16 @@ class RealTimeTicks:
         N = len(scene.joints)
         self._calls, loop = real_time_ticks(), load_real_time()
         place, rows = MeasuredPlace(scene), np.zeros((len(TRUTH), N))
-        self._snapshot = REAL_TIME_TICKS.new("arm_snapshot", **place.arrays)
+        self._snapshot = REAL_TIME_TICKS.make_struct("arm_snapshot", **place.arrays)
         truth = REAL_TIME_TICKS.ffi.addressof(self._snapshot, "truth")
         q, v, gear_torque = rows
-        REAL_TIME_TICKS.fill(truth, q=q, v=v, gear_torque=gear_torque)
+        REAL_TIME_TICKS.fill_struct(truth, q=q, v=v, gear_torque=gear_torque)
         self._messages = reports.create_messages(place.make_view(), rows)
         motor_state, joint_state, time = self._messages
         self._joint, self._stack = make_commands(scene), ExitStack()
-        self._command = REAL_TIME_TICKS.new("arm_command", tick=-1, joint=self._joint)
+        self._command = REAL_TIME_TICKS.make_struct("arm_command", tick=-1, joint=self._joint)
         self._logs: list[CData] = []  # of C, and another one in exchange for it
-        self.at = REAL_TIME_TICKS.new(
+        self.at = REAL_TIME_TICKS.make_struct(
             "real_time_ticks",
             loop=clock.handle,
             at=own.session.plant.ticks,
@@ -90,7 +90,7 @@ class RealTimeTicks:
             ffi = REAL_TIME_TICKS.ffi
             self._logs = [ffi.new("uint8_t[]", room) for _ in range(2)]
             self.at.log.data, self.at.log.room = self._logs[0], room
-            self._log = REAL_TIME_TICKS.new("ros_log", data=self._logs[1], room=room)
+            self._log = REAL_TIME_TICKS.make_struct("ros_log", data=self._logs[1], room=room)
         self.put()
 
     def run(self) -> bool:

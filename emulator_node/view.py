@@ -43,7 +43,7 @@ class MachineView:
         if not self.is_open:
             return
         session, state = self._session, self._session.state
-        self._stream.offer(
+        self._stream.show_state(
             session.logical_ns,
             state.q,
             state.v,

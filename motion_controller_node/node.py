@@ -63,7 +63,7 @@ from motion_controller_node.follow_action import (
 )
 from motion_controller_node.order_topics import PLURALS, OrderTopics
 
-_MOVABLE = BRAKE_CLOSED.named("movable")
+_MOVABLE = BRAKE_CLOSED.rename("movable")
 
 
 class MotionControllerNode(ManagedNode):
@@ -269,7 +269,7 @@ class MotionControllerNode(ManagedNode):
         if self._controller is None:
             return
         try:
-            can = self._order.arrange(message.joint_names, message.movable, _MOVABLE)
+            can = self._order.arrange_values(message.joint_names, message.movable, _MOVABLE)
         except Refusal as reason:
             self._diagnostics.refuse("servo_states", reason)
             return
@@ -298,7 +298,7 @@ class MotionControllerNode(ManagedNode):
             now = check_time("joint_states", message.header.stamp)
             if now % self._period_ns != 0:
                 return
-            q = self._order.arrange(message.name, message.position, POSITION)
+            q = self._order.arrange_values(message.name, message.position, POSITION)
             v = self._read_optional(message, message.velocity, VELOCITY)
             tau = self._read_loads(message)
         except Refusal as reason:
@@ -364,7 +364,7 @@ class MotionControllerNode(ManagedNode):
         """Return measured speeds or loads; None if they are missing or not sound."""
         try:
             if values:
-                return self._order.arrange(message.name, values, bound)
+                return self._order.arrange_values(message.name, values, bound)
         except Refusal:
             self._diagnostics.count(f"joint_states without a sound {bound.name}")
         return None

@@ -56,7 +56,7 @@ class AnsweredStates:
         self._aimed = np.zeros(N)
         self.movable = np.zeros(N, np.int64)
         self.q, self.v, self.tau = np.zeros((3, N))
-        self.at = ANSWERED_STATES.new(
+        self.at = ANSWERED_STATES.make_struct(
             "answered_states",
             lockstep=lockstep,
             arm=servo.arm,

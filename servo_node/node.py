@@ -57,13 +57,13 @@ from servo_node.c import ANSWERED_STATES
 PARAMETERS = "parameters of node servo"
 SILENCE_CHECK = 0.1  # s, wall
 REPEATED, RESTARTED, STATE_OFF_TIME, OF_ANOTHER = map(
-    ANSWERED_STATES.constant,
+    ANSWERED_STATES.get_constant,
     ("STATE_REPEATED", "STATE_ANEW", "STATE_OFF_TIME", "STATE_OF_ANOTHER"),
 )
-DUE, TARGET_OFF_TIME = map(ANSWERED_STATES.constant, ("TARGET_DUE", "TARGET_OFF_TIME"))
+DUE, TARGET_OFF_TIME = map(ANSWERED_STATES.get_constant, ("TARGET_DUE", "TARGET_OFF_TIME"))
 LATE = {  # words for diagnostics
-    ANSWERED_STATES.constant("TARGET_REPEATED"): "repeated",
-    ANSWERED_STATES.constant("TARGET_BEFORE_RESET"): "before the reset",
+    ANSWERED_STATES.get_constant("TARGET_REPEATED"): "repeated",
+    ANSWERED_STATES.get_constant("TARGET_BEFORE_RESET"): "before the reset",
 }
 
 
@@ -263,7 +263,7 @@ class ServoNode(ManagedNode):
             self._start_over()
         if self._next_config is not None:
             self._config, self._next_config = self._next_config, None
-            self._drives.retune(self._config)
+            self._drives.set_config(self._config)
         at.answers = 0
         calls.answered_states_go_on(at)
         self.end()

@@ -120,8 +120,8 @@ MUTANTS = (
     ),
     Mutant(
         "arm_emulator/base/calibration/denavit_hartenberg.py",
-        "there.inverse @ link @ screw(2,",
-        "there.inverse @ screw(2,",
+        "there.inverse @ link @ compute_screw(2,",
+        "there.inverse @ compute_screw(2,",
         "test_calibration.py",
     ),
     Mutant(
@@ -605,8 +605,8 @@ MUTANTS = (
     ),
     Mutant(
         "arm_emulator/base/validation/bound.py",
-        'FORCE = Number.within("force", "N", 1e6)',
-        'FORCE = Number.within("force", "N", 1e9)',
+        'FORCE = Number.bound_size("force", "N", 1e6)',
+        'FORCE = Number.bound_size("force", "N", 1e9)',
         "test_bound.py test_external_wrench.py",
     ),
     Mutant(
@@ -629,7 +629,7 @@ MUTANTS = (
     ),
     Mutant(
         "arm_emulator/base/validation/section.py",
-        "            below.finish()\n",
+        "            below.refuse_unread_keys()\n",
         "            pass\n",
         "test_scene.py",
     ),

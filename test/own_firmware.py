@@ -12,7 +12,7 @@ import pytest
 from arm_emulator import Plant, load_scene, load_servo_config
 from arm_emulator.cli.command_line import main
 from arm_emulator.cli.commands.servo_header import write_header
-from arm_emulator.runs.servo_step import servo_step_unit
+from arm_emulator.runs.servo_step import make_servo_step_unit
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_law import servo_law
 from arm_emulator.tick.c import FOLDERS
@@ -86,7 +86,7 @@ def command(
 
     Return its exit code and what was printed, but for what is compiled once.
     """
-    Plant(SCENE), servo_law(), load_library(servo_step_unit())
+    Plant(SCENE), servo_law(), load_library(make_servo_step_unit())
     capfd.readouterr()
     monkeypatch.setattr(sys, "argv", ["arm_emulator", *map(str, words)])
     with pytest.raises(SystemExit) as end:

@@ -71,11 +71,11 @@ def swing_of(scene: Scene, servo: ServoConfig, ticks: int, kick: float) -> np.nd
     order = [servo.joint_names.index(name) for name in scene.joint_names]
     for tick in range(ticks):
         measured = session.measured
-        drives.measure(
+        drives.take_measurement(
             session.logical_ns, measured.encoder_counts, measured.current, measured.applied
         )
-        drives.aim(Target(scene.start[order]))
-        V = drives.command(powered=True)
+        drives.set_target(Target(scene.start[order]))
+        V = drives.compute_commands(powered=True)
         if tick == ticks // 8:
             V = V + kick
         session.offer(tick, scene.joint_names, V.tolist())

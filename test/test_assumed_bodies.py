@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from arm_emulator import Refusal, load_scene
-from arm_emulator.base.urdf.frames import frame_of
+from arm_emulator.base.urdf.frames import make_frame
 from arm_emulator.cli.commands.check_scene import check_scene
 from arm_emulator.design import new_scene
 from arm_emulator.design.assumed_bodies import DENSITY, SLENDER, assume_bodies
@@ -86,7 +86,7 @@ def test_shapes_are_integrated(tmp_path: Path) -> None:
     for text, (mass, tensor) in of.items():
         xyz, rpy = draw.uniform(-1, 1, 3), draw.uniform(-3, 3, 3)
         words = " ".join(map(repr, xyz.tolist())), " ".join(map(repr, rpy.tolist()))
-        at = frame_of(xyz, rpy)
+        at = make_frame(xyz, rpy)
         actual = body_of(assumed(shape(text, *words), tmp_path))
         np.testing.assert_allclose(actual[0], mass, rtol=1e-5)
         np.testing.assert_allclose(actual[1], xyz, rtol=1e-5)

@@ -66,12 +66,12 @@ def test_a_bound_takes_exactly_the_numbers_within(seed: int) -> None:
         if rng.random() < 0.3:
             values[rng.randrange(N)] = number(rng)
         within = all(abs(x) <= y for x, y in zip(values, np.broadcast_to(largest, N), strict=True))
-        bound = Number.within("q", "rad", largest)
+        bound = Number.bound_size("q", "rad", largest)
         if within:
-            assert bound.row("here", values, N).tolist() == values
+            assert bound.check_row("here", values, N).tolist() == values
         else:
             with pytest.raises(Refusal, match=r"^here: q must be numbers within \+-\S+ rad, got"):
-                bound.row("here", values, N)
+                bound.check_row("here", values, N)
 
 
 def test_motors_are_set_within_the_bounds_of_their_links() -> None:
@@ -114,7 +114,7 @@ def test_the_servo_refuses_extreme_numbers_and_stays_as_it_was(scene: str) -> No
 
     for _ in range(50):
         servo.update(counts, zero, [0.1] * N)
-    largest_count = Number.within("counts", "", 2.0**53)
+    largest_count = Number.bound_size("counts", "", 2.0**53)
     paths: list[Callable[[], Any]] = [
         lambda: servo.observe(wrong(largest_count), zero),
         lambda: servo.observe(counts, wrong(CURRENT)),
@@ -182,11 +182,13 @@ def test_a_servo_that_is_not_finite_restarts() -> None:
         for tick in range(26):
             now = tick * 1_000_000
             if tick % 5 == 0:
-                drives.aim(Target(np.zeros(3), np.full(3, 0.01), np.full(3, 0.1 * tick)))
+                drives.set_target(Target(np.zeros(3), np.full(3, 0.01), np.full(3, 0.1 * tick)))
             if tick == 21:
                 numbers(drives)[name][1] = value
-            drives.measure(now, [5, 5, 5], [0.1, 0.1, 0.1])
-            assert np.isfinite(drives.command(True)).all(), f"{name} = {value}, tick {tick}"
+            drives.take_measurement(now, [5, 5, 5], [0.1, 0.1, 0.1])
+            assert np.isfinite(drives.compute_commands(True)).all(), (
+                f"{name} = {value}, tick {tick}"
+            )
         for second, of in numbers(drives).items():
             # The angle to hold is set when targets cease, and not used until then. A joint whose
             # observer is too slow to learn its load does not use what it would have learned.
@@ -285,7 +287,7 @@ def test_every_target_that_is_taken_gives_targets_that_a_servo_takes(scene: str)
         pose = Pose.from_quaternion(p, direction / np.linalg.norm(direction))
         executor = MotionExecutor()
         executor.add(0, pose)
-        POSITION.check("test", executor.compute_setpoint(controller, 0, np.array(q)).q)
+        POSITION.check_values("test", executor.compute_setpoint(controller, 0, np.array(q)).q)
 
 
 def test_an_executor_that_is_not_finite_restarts() -> None:
@@ -337,9 +339,9 @@ def test_any_robot_of_numbers_is_refused_or_computed_with(seed: int, method: str
         executor.add(0, Pose(np.array([1.0, 2.0, 3.0]), np.eye(3)))
         for period in range(5):
             instruction = executor.compute_setpoint(controller, period * 50_000_000, q)
-            POSITION.check("test", instruction.q)
+            POSITION.check_values("test", instruction.q)
             if instruction.v is not None:
-                VELOCITY.check("test", instruction.v)
+                VELOCITY.check_values("test", instruction.v)
             q = instruction.q
     assert taken > 0
 
@@ -390,6 +392,6 @@ def test_a_target_that_an_offline_run_refuses_leaves_it_as_it_was() -> None:
         with pytest.raises(Refusal):
             offline.instructor.add(0, Pose.from_quaternion([huge(rng), 0.0, 0.0], [0, 0, 0, 1]))
         with pytest.raises(Refusal):
-            offline.drives.measure(0, [2**62] * 3, [0.0] * 3)
+            offline.drives.take_measurement(0, [2**62] * 3, [0.0] * 3)
 
     assert run(disturb) == run(lambda _: None)

@@ -232,11 +232,11 @@ def test_servos_in_c_and_python_handle_brakes_alike(scene: Scene) -> None:
         run.advance(1)
         observed, now = plant.measured, round(tick * scene.servo_period * 1e9)
         closed += int(observed.brake_closed.any() and plant.powered)
-        drives.measure(
+        drives.take_measurement(
             now, observed.encoder_counts, observed.current, observed.applied, observed.brake_closed
         )
-        drives.aim(Target(q[int(tick >= 20)]))
-        plant.exchange(drives.command(plant.powered))
+        drives.set_target(Target(q[int(tick >= 20)]))
+        plant.exchange(drives.compute_commands(plant.powered))
         np.testing.assert_array_equal(run.session.state.q, plant.state.q, f"after tick {tick}")
     assert closed > 20, "ticks with power and a closed brake"
 

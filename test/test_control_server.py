@@ -39,14 +39,14 @@ def test_requests_are_fulfilled_between_two_ticks() -> None:
     controls = MachineControls(plant, steps=True)
 
     def ask(there: _PipedControls) -> None:
-        responses.append(there.do("pause", True))
-        responses.append(there.do("step", 7))
+        responses.append(there.do_action("pause", True))
+        responses.append(there.do_action("step", 7))
         while controls.due:  # until they have passed
             time.sleep(1e-3)
         with pytest.raises(Refusal, match="joint"):
-            there.do("set_varied", "joints.elbow.motor.resistance", 2.0)
-        responses.append(there.do("power", False))
-        responses.append(there.do("pause", False))
+            there.do_action("set_varied", "joints.elbow.motor.resistance", 2.0)
+        responses.append(there.do_action("power", False))
+        responses.append(there.do_action("pause", False))
         assert [text for _, text in there.news().events] == ["power off"]
 
     observed = []
@@ -58,7 +58,7 @@ def test_requests_are_fulfilled_between_two_ticks() -> None:
 
     with serve_requests(controls, ask) as server:
         while "going on" not in responses:
-            server.drive(advance, 2000)
+            server.advance_ticks(advance, 2000)
     assert responses == ["paused", "7 more", "power off", "going on"]
     alone = [ticks for ticks, paused, _ in observed if paused]
     assert alone == [7], "while it is paused the ticks that were asked for pass alone"
@@ -67,8 +67,8 @@ def test_requests_are_fulfilled_between_two_ticks() -> None:
 
 def test_a_server_without_a_page_does_nothing() -> None:
     server, done = ControlServer(MachineControls(Plant("three_axis"))), []
-    assert server.poll()
-    server.drive(done.append, 12345)
+    assert server.poll_requests()
+    server.advance_ticks(done.append, 12345)
     assert done == [12345]
 
 
@@ -77,11 +77,11 @@ def test_a_thread_fulfils_where_a_session_is_advanced_by_others() -> None:
     controls, over = MachineControls(session), threading.Event()
 
     def ask(there: _PipedControls) -> None:
-        there.do("power", False)
-        there.do("pause", True)
+        there.do_action("power", False)
+        there.do_action("pause", True)
         before = session.tick
         assert there.can() == controls.can() and session.tick == before, "it stands"
-        there.do("pause", False)
+        there.do_action("pause", False)
         over.set()
 
     with serve_requests(controls, ask) as server:
@@ -111,13 +111,13 @@ def test_a_machine_goes_on_when_its_page_has_ended(
     far.send((1, "pause", (paused,)))
     worker = threading.Thread(target=lambda: (far.recv(), far.close()))
     worker.start()
-    assert server.poll(), "it would stay here while time stands still"
+    assert server.poll_requests(), "it would stay here while time stands still"
     worker.join()
     done: list[int] = []
-    server.drive(done.append, 2500)
+    server.advance_ticks(done.append, 2500)
     assert sum(done) == 2500 and not controls.paused
     assert capfd.readouterr().err.count("its process has ended") == 1
-    assert server.poll() and not capfd.readouterr().err
+    assert server.poll_requests() and not capfd.readouterr().err
 
 
 def test_a_server_handles_anything_that_a_browser_sends() -> None:
@@ -130,12 +130,12 @@ def test_a_server_handles_anything_that_a_browser_sends() -> None:
             ("set_varied", ()), ("push", ("tool", "force", None)), ("set_varied", (None, "x")),
         ):  # fmt: skip
             with pytest.raises(Refusal):
-                there.ask(request, *inputs)
-        assert there.do("power", False) == "power off"
+                there.ask_server(request, *inputs)
+        assert there.do_action("power", False) == "power off"
 
     with serve_requests(controls, ask) as server:
         while plant.powered:
-            server.poll()
+            server.poll_requests()
 
 
 def test_an_answer_that_is_late_is_not_taken_for_another(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,8 +143,8 @@ def test_an_answer_that_is_late_is_not_taken_for_another(monkeypatch: pytest.Mon
     near, far = Pipe()
     there = _PipedControls(os.dup(far.fileno()), frozenset())
     with pytest.raises(Refusal, match="answer within"):
-        there.ask("pause", True)
+        there.ask_server("pause", True)
     first, *_ = near.recv()
     near.send((first, 1, "late"))
     near.send((first + 1, 2, "now"))
-    assert there.ask("pause", False) == "now"
+    assert there.ask_server("pause", False) == "now"

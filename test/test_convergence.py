@@ -27,12 +27,12 @@ def step_response(period: float) -> Array:
     travelled = []
     for tick in range(round(LONG / scene.servo_period) + 1):
         measured = session.measured
-        drives.measure(session.logical_ns, measured.encoder_counts, measured.current)
-        drives.aim(Target(target))
+        drives.take_measurement(session.logical_ns, measured.encoder_counts, measured.current)
+        drives.set_target(Target(target))
         if tick and tick % round(period / scene.servo_period) == 0:
             measured = drives.servo.q_measured[0]
             travelled.append((measured - scene.start[0]) / (target[0] - scene.start[0]))
-        session.offer(tick, list(config.joint_names), drives.command(True).tolist())
+        session.offer(tick, list(config.joint_names), drives.compute_commands(True).tolist())
         session.advance()
     return np.array(travelled)
 

@@ -220,13 +220,13 @@ def test_limits_of_shafts_keep_all_joints_within_theirs(seed: int) -> None:
     L = len(shafts.joints)
     lower = draw.uniform(-2.0, -0.5, L)
     upper = draw.uniform(0.5, 2.0, L)
-    low, high = shafts.positions(lower, upper)
-    largest = shafts.bound(upper)
+    low, high = shafts.bound_positions(lower, upper)
+    largest = shafts.bound_rates(upper)
     assert (low <= high).all()
     for corner in draw.choice([0.0, 1.0], (50, len(names))):
-        q = shafts.of_joints(low + corner * (high - low))
+        q = shafts.convert_to_joints(low + corner * (high - low))
         assert (q > lower - 1e-9).all() and (q < upper + 1e-9).all()
-        assert (np.abs(shafts.rates((2.0 * corner - 1.0) * largest)) < upper + 1e-9).all()
+        assert (np.abs(shafts.convert_rates((2.0 * corner - 1.0) * largest)) < upper + 1e-9).all()
 
 
 BAD: list[tuple[Shares, str]] = [

@@ -115,7 +115,7 @@ def declarations() -> Iterator[tuple[str, dict[str, Row]]]:
     b = bound
     messages = (b.POSITION, b.VELOCITY, b.ACCELERATION, b.EFFORT, b.COMMAND, b.CURRENT,
                 b.BRAKE_CLOSED, b.FORCE, b.MOMENT, b.POINT)  # fmt: skip
-    yield "messages and calls", rows_of((*messages, b.TOOL_POSITION.named("tool position")))
+    yield "messages and calls", rows_of((*messages, b.TOOL_POSITION.rename("tool position")))
 
 
 WRITTEN, DECLARED = numbers_in(TABLE.read_text()), dict(declarations())

@@ -147,7 +147,7 @@ def test_c_reads_commands_for_this_emulator_alone() -> None:
     parts = ("messages", "message_reader", "motor_commands")
     source = "".join(f'#include "{part}.c"\n' for part in parts)
     unit = Unit("commands_alone", source, C_FLAGS, FOLDERS, (MOTOR_COMMANDS,), "test", "", "m.c")
-    code, struct = compile_once(lambda: unit)(), MOTOR_COMMANDS.new("motor_commands")
+    code, struct = compile_once(lambda: unit)(), MOTOR_COMMANDS.make_struct("motor_commands")
     reader = CommandReader(load_scene("three_axis"), struct, 0)
     own = duplicate_nodes.get_start_time()
     for machine, read in ((own, 7), (0, 7), (own + 1, -1), (1, -1)):

@@ -94,7 +94,7 @@ def test_the_viewer_gets_no_target_beyond_the_bound(tmp_path: Path) -> None:
     state = run.session.state
     for tick in range(3):
         stream.offer_target(tick, (1e6, -1e6, 5e-324))
-        stream.offer(tick * 10**6, state.q, state.v, state.gear_torque, state.current, state.v)
+        stream.show_state(tick * 10**6, state.q, state.v, state.gear_torque, state.current, state.v)
     assert stream.close(), stream.trouble
     assert stream.trouble is None and stream.dropped == count
 

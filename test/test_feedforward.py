@@ -364,11 +364,11 @@ def test_targets_are_followed_along_their_curve() -> None:
         drives, result = drives_of(motion_period), []
         every = round(motion_period / PERIOD)
         for k in range(len(counts)):
-            drives.measure(k * 1_000_000, counts[k], np.zeros(6))
+            drives.take_measurement(k * 1_000_000, counts[k], np.zeros(6))
             if k % every == 0:
                 t = k * PERIOD
-                drives.aim(Target(0.5 * a * t**2, a * (t + 0.5 * motion_period)))
-            result.append(drives.command(True))
+                drives.set_target(Target(0.5 * a * t**2, a * (t + 0.5 * motion_period)))
+            result.append(drives.compute_commands(True))
         return result
 
     coarse, fine = voltages(0.01), voltages(PERIOD)
@@ -392,13 +392,15 @@ def test_the_observer_expects_the_load_that_is_announced() -> None:
             t = k * PERIOD
             count = math.floor(theta / (2.0 * math.pi) * joint.counts_per_turn)
             current = growth * t / joint.torque_constant
-            drives.measure(round(t * 1e9), [count] + 5 * [0], [current] + 5 * [0.0], 6 * [current])
+            drives.take_measurement(
+                round(t * 1e9), [count] + 5 * [0], [current] + 5 * [0.0], 6 * [current]
+            )
             errors.append(abs(float(drives.servo.state["omega"][0]) - omega))
             if k % 10 == 0:
                 tau = np.zeros(6)
                 tau[0] = growth * (t + 0.005) / joint.gear_ratio if announced else 0.0
-                drives.aim(Target(np.zeros(6), np.zeros(6), tau))
-            drives.command(True)
+                drives.set_target(Target(np.zeros(6), np.zeros(6), tau))
+            drives.compute_commands(True)
             omega += 0.0  # the load and the current's torque balance: the rotor stands
         return max(errors[100:])
 

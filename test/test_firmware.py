@@ -44,7 +44,7 @@ from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_arm import ServoArm, Target
 from arm_emulator.servo.servo_law import servo_law
 from arm_emulator.tick.c import FOLDERS
-from arm_emulator.toolchain.c_header import pointer
+from arm_emulator.toolchain.c_header import make_pointer
 from arm_emulator.toolchain.compiler_command import find_compiler
 from arm_emulator.toolchain.flags import C_FLAGS
 
@@ -94,14 +94,14 @@ def test_a_servo_that_has_measured_nothing_gives_no_voltage() -> None:
     """For any target the output is 0 V: the positions of the motors are unknown."""
     drives, law = ServoArm(SERVO), servo_law()
     arm, voltage = drives.servo.arm, np.full(N, np.nan)
-    drives.aim(Target(np.ones(N)))
-    law.servo_command(arm, True, pointer(voltage))
+    drives.set_target(Target(np.ones(N)))
+    law.servo_command(arm, True, make_pointer(voltage))
     np.testing.assert_array_equal(voltage, np.zeros(N), err_msg="before the first measurement")
-    drives.measure(0, [0] * N, [0.0] * N)
-    drives.aim(Target(np.ones(N)))
-    assert (drives.command(powered=True) > 0.0).all(), "after it, towards the target"
+    drives.take_measurement(0, [0] * N, [0.0] * N)
+    drives.set_target(Target(np.ones(N)))
+    assert (drives.compute_commands(powered=True) > 0.0).all(), "after it, towards the target"
     drives.reset()
-    law.servo_command(arm, True, pointer(voltage))
+    law.servo_command(arm, True, make_pointer(voltage))
     np.testing.assert_array_equal(voltage, np.zeros(N), err_msg="after a reset")
 
 
@@ -134,11 +134,11 @@ def by_hand(rows: list[list[float]], ticks: int) -> dict[int, bytes]:
     for tick in range(ticks + 1):
         measured = session.measured
         states[tick] = bits_of(measured.encoder_counts, measured.current)
-        drives.measure(
+        drives.take_measurement(
             session.logical_ns, measured.encoder_counts, measured.current, measured.applied
         )
-        drives.aim(Target(np.array(row_at(rows, tick))))
-        session.offer(tick, NAMES, drives.command(session.powered).tolist())
+        drives.set_target(Target(np.array(row_at(rows, tick))))
+        session.offer(tick, NAMES, drives.compute_commands(session.powered).tolist())
         session.advance()
     return states
 

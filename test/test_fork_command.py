@@ -30,8 +30,8 @@ from arm_emulator.runs.order import (
     ScaleGains,
     SetVaried,
     SwitchPower,
-    as_data,
-    of_data,
+    convert_to_data,
+    read_order,
 )
 from arm_emulator_msgs.msg import MachineEvent
 
@@ -181,4 +181,4 @@ def test_impossible_requests_are_refused_and_write_nothing(
 @pytest.mark.parametrize("requested", REQUESTS)
 def test_orders_are_the_same_after_a_file(requested: str) -> None:
     order = REQUESTS[requested][1]
-    assert of_data("file", json.loads(json.dumps(as_data(order)))) == order
+    assert read_order("file", json.loads(json.dumps(convert_to_data(order)))) == order

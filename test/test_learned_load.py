@@ -68,19 +68,19 @@ def swing(
     applied = np.zeros(1)
     for k in range(round((3.0 + rests) / PERIOD)):  # 1.5 s of rest, 1.5 s of the swing
         t, T = k * PERIOD, MOTION * PERIOD
-        drives.measure(round(t * 1e9), [machine.counts], [machine.x[0]], applied)
+        drives.take_measurement(round(t * 1e9), [machine.counts], [machine.x[0]], applied)
         if k % MOTION == 0:
             q, q_end = motion(t)[0], motion(t + T)[0]
             a, a_end = motion(t + late)[2], motion(t + late + T)[2]
             weight = 3.0 if still else 0.0
             tau = announced * INERTIA * 0.5 * (a + a_end) + 0.5 * (q_end - q) / T + weight
-            drives.aim(Target(np.array([q]), np.array([(q_end - q) / T]), np.array([tau])))
+            drives.set_target(Target(np.array([q]), np.array([(q_end - q) / T]), np.array([tau])))
             factors.append(1.0 + float(drives.servo.state["learned"]["excess"][0]))
         if t > 1.5 + judged_from:
             worst = max(worst, abs(float(machine.x[3]) - motion(t)[0]))
         if freed and t > 1.5:
             machine.x[6] = 0.0
-        applied = drives.command(True)
+        applied = drives.compute_commands(True)
         machine.advance(applied[0])
     return Swung(worst, factors, float(drives.servo.state["integral"][0]))
 
@@ -161,16 +161,16 @@ def test_a_factor_that_fades_at_rest_moves_nothing() -> None:
     )
     announced = Target(np.zeros(1), np.zeros(1), np.array([4.0]))
     for k in range(6000):
-        drives.measure(k * 1_000_000, [machine.counts], [machine.x[0]], applied)
+        drives.take_measurement(k * 1_000_000, [machine.counts], [machine.x[0]], applied)
         if k % MOTION == 0:
-            drives.aim(announced)
+            drives.set_target(announced)
         if k == 2000:  # the load is held, one third of it by the integral: let it be the factor's
             of_factor = 2.0 * JOINT.gear_ratio / JOINT.torque_constant
             drives.servo.state["integral"] -= of_factor
             drives.servo.state["learned"]["excess"] = 0.5
             drives.servo.state["learned"]["tau_base"] = 0.0
             rested = drives.servo.state["integral"][0]
-        applied = drives.command(True)
+        applied = drives.compute_commands(True)
         machine.advance(applied[0])
         if k >= 2000:
             observed.append(machine.counts)

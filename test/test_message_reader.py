@@ -32,7 +32,7 @@ CODES = {
 }  # fmt: skip
 NAMES = ("waist", "shoulder", "elbow", "é")
 LARGEST = np.array([1.0, 2.0, 3.0, 4.0])
-BOUND = Number.within("position", "rad", LARGEST)
+BOUND = Number.bound_size("position", "rad", LARGEST)
 
 
 def encoded(message: Any, order: str) -> bytes:
@@ -171,11 +171,13 @@ class Joints:
             NAMES,
             "joint_names",
             {
-                "encoder_counts": RowBounds(self.counts, Number.within("encoder_counts", "", 1e15)),
-                "current": RowBounds(self.current, BOUND.named("current")),
-                "applied": RowBounds(self.applied, BOUND.named("applied"), is_optional=True),
+                "encoder_counts": RowBounds(
+                    self.counts, Number.bound_size("encoder_counts", "", 1e15)
+                ),
+                "current": RowBounds(self.current, BOUND.rename("current")),
+                "applied": RowBounds(self.applied, BOUND.rename("applied"), is_optional=True),
                 "brake_closed": RowBounds(
-                    self.brakes, Number.within("brake", "", 1), is_optional=True
+                    self.brakes, Number.bound_size("brake", "", 1), is_optional=True
                 ),
             },
             {STAMP: self.time, "tick": self.tick, "powered": self.powered},

@@ -122,11 +122,11 @@ def test_a_servo_with_the_sign_of_the_gear_brings_the_arm_to_its_target() -> Non
     goal = scene.start + np.array([0.1, -0.1, 0.2])
     for tick in range(3000):
         measured = session.measured
-        drives.measure(
+        drives.take_measurement(
             session.logical_ns, measured.encoder_counts, measured.current, measured.applied
         )
-        drives.aim(Target(goal))
-        session.offer(tick, scene.joint_names, drives.command(powered=True).tolist())
+        drives.set_target(Target(goal))
+        session.offer(tick, scene.joint_names, drives.compute_commands(powered=True).tolist())
         session.advance()
     # Within two counts at the link.
     off = np.abs(session.state.q - goal)

@@ -57,10 +57,10 @@ def test_words_and_range_agree() -> None:
             taken += within
             if within:
                 assert number.ends[0] <= value <= number.ends[1], (number, value)
-                assert number.take("here", np.float64(value)) == value
+                assert number.check_value("here", np.float64(value)) == value
         assert number.rule.startswith("be a whole number" if number.whole else "be a number")
         assert (number.unit in number.rule) and "  " not in number.rule
-        check_refusals(number, "x", partial(number.take, "here"))
+        check_refusals(number, "x", partial(number.check_value, "here"))
     assert taken > 1000
 
 
@@ -74,10 +74,10 @@ def test_a_bound_of_a_row_holds_if_it_holds_for_every_number() -> None:
         verdicts.add(holds)
         for values in (row.tolist(), row[np.newaxis]):
             if holds:
-                number.check("here", values)
+                number.check_values("here", values)
             else:
                 with pytest.raises(Refusal, match=r"^here: x must be (whole )?numbers"):
-                    number.check("here", values)
+                    number.check_values("here", values)
     assert verdicts == {True, False}
 
 
@@ -89,18 +89,18 @@ def test_words_are_short() -> None:
     assert Number("k", "1/A", above=0, at_most=2, in_size=True).range == (
         "number of size > 0 and <= 2 1/A"
     )
-    assert Number.within("q", "rad", 1e6).range == "number within +-1e+06 rad"
+    assert Number.bound_size("q", "rad", 1e6).range == "number within +-1e+06 rad"
     assert Number("t", "s").range == "number [s]"
     assert Number("share", "1", at_most=math.inf).rule == "be a finite number"
     assert Number("hold_after", "s", above=0).described == "hold after (number > 0 s)"
     assert Number("x", text="what it is", at_least=1).described == "what it is (number >= 1)"
     assert Number().ends == (-LARGEST, LARGEST) and Number(above=0).least == SMALLEST
     with pytest.raises(Refusal, match=r"x must be a number from 1e-15 to 1e\+15 m, got 1e-20"):
-        Number("x", "m", above=0.0).take("here", 1e-20)
+        Number("x", "m", above=0.0).check_value("here", 1e-20)
     with pytest.raises(
         Refusal, match=r"^here: q must be numbers within \+-2 rad, got \[0.0, 3.0\]$"
     ):
-        Number.within("q", "rad", np.array([4.0, 2.0])).row("here", [0.0, 3.0], 2)
+        Number.bound_size("q", "rad", np.array([4.0, 2.0])).check_row("here", [0.0, 3.0], 2)
 
 
 # Every number of every room, by the reader of its room
@@ -241,14 +241,14 @@ def test_short_and_long_numbers_of_numpy_are_taken_as_they_are(kind: type[np.num
     for number in (
         Number("x"),
         Number("x", at_least=-1.0, at_most=1e300),
-        Number.within("x", "", 9),
+        Number.bound_size("x", "", 9),
     ):
-        assert number.take("here", kind(3)) == 3.0
+        assert number.check_value("here", kind(3)) == 3.0
     for bad in {"i": (), "u": ()}.get(np.dtype(kind).kind, (math.nan, math.inf, -math.inf)):
         with pytest.raises(Refusal, match="here: x must be a"):
-            Number("x").take("here", kind(bad))
+            Number("x").check_value("here", kind(bad))
     with pytest.raises(Refusal, match="here: x must be a number from 5 to 9"):
-        Number("x", at_least=5.0, at_most=9.0).take("here", kind(3))
+        Number("x", at_least=5.0, at_most=9.0).check_value("here", kind(3))
 
 
 def test_commands_and_measurements_are_refused_in_rows_alike() -> None:
@@ -258,8 +258,8 @@ def test_commands_and_measurements_are_refused_in_rows_alike() -> None:
         for bad in (math.nan, math.inf, -math.inf, 2.0 * row.most, -2.0 * row.most):
             if abs(bad) < math.inf or row.at_most != math.inf:
                 with pytest.raises(Refusal, match=rf"^here: {row.name} must be (finite )?numbers"):
-                    row.row("here", [0.0, bad, 0.0], 3)
+                    row.check_row("here", [0.0, bad, 0.0], 3)
         no_rows: tuple[Any, ...] = "abc", None, [None], ["1"] * 3, [1j] * 3, {}, [[1.0], [2.0, 3.0]]
         for no_row in (*no_rows, [True, 1.0, 2.0]):
             with pytest.raises(Refusal, match=rf"^here: {row.name} must be (finite )?numbers"):
-                row.row("here", no_row, 3)
+                row.check_row("here", no_row, 3)

@@ -67,7 +67,7 @@ def draw_numbers(part: type[Part], rng: np.random.Generator) -> dict[str, float]
 def read(part: type[Part], data: dict[str, Any]) -> Part:
     section = Section(data, "drawn.yaml", f"joints.elbow.{part.section}")
     part_read = part.read_section(section)
-    section.finish()
+    section.refuse_unread_keys()
     return part_read
 
 

@@ -170,7 +170,7 @@ def test_wrong_arrays_change_nothing(plant: Plant, controller: JacobianControlle
     p_WT, R_WT = np.zeros(3), np.eye(3)
     target = Pose(p_WT, R_WT)
     servo.observe(counts, good)
-    drives.measure(0, counts, good)
+    drives.take_measurement(0, counts, good)
     kinematics = controller.kinematics
     before = as_bytes(plant)
     calls: list[Callable[[Any], object]] = [
@@ -182,8 +182,8 @@ def test_wrong_arrays_change_nothing(plant: Plant, controller: JacobianControlle
         servo.control,
         lambda x: servo.control(good, constant(x)),
         lambda x: servo.control(good, good, constant(x)),
-        lambda x: drives.measure(1, x, good),
-        lambda x: drives.measure(1, counts, x),
+        lambda x: drives.take_measurement(1, x, good),
+        lambda x: drives.take_measurement(1, counts, x),
         kinematics.forward,
         kinematics.jacobian,
         kinematics.singular_values,

@@ -181,7 +181,7 @@ def test_a_missing_number_is_an_empty_cell_and_null(scene: Scene, tmp_path: Path
     rows["q"][0, 1], rows["v"][0, 0] = np.nan, -np.inf
     for suffix in (".csv", ".mcap"):
         record = open_record("test", tmp_path / f"odd{suffix}", list_columns(scene))
-        record.write(rows)
+        record.write_rows(rows)
         record.close()
         columns, _ = read(tmp_path / f"odd{suffix}")
         assert columns["q.slide"] == columns["v.turn"] == [None] and columns["q.turn"] != [None]

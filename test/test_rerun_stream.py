@@ -109,7 +109,7 @@ def signal_of(file, quantity, joint):
 
 def offer_all(stream, times, rows):
     for time_ns, row in zip(times, rows, strict=True):
-        stream.offer(int(time_ns), *row)
+        stream.show_state(int(time_ns), *row)
 
 
 # Content of the recording
@@ -217,7 +217,7 @@ def test_values_not_measured_or_not_finite_are_left_out(tmp_path):
     times, rows = samples(5)
     rows[2, 0, 1] = np.nan
     for time_ns, row in zip(times, rows, strict=True):
-        stream.offer(int(time_ns), *row[:5])
+        stream.show_state(int(time_ns), *row[:5])
     assert stream.close()
     assert len(signal_of(file, "q_measured", "turn")[0]) == 0
     assert np.array_equal(signal_of(file, "q", "lift")[1], rows[:, 0, 1], equal_nan=True)

@@ -65,7 +65,7 @@ def test_parameters_are_set_atomically_between_two_ticks_or_refused(
             dataclasses.replace(gains, **{gain: new}) if gains.name == joint else gains
             for gains in run.drives.servo.config.joints
         )
-        run.drives.retune(dataclasses.replace(run.drives.servo.config, joints=joints))
+        run.drives.set_config(dataclasses.replace(run.drives.servo.config, joints=joints))
         assert isinstance(run.controller, JacobianController)
         run.controller.weight = weight
         states |= offline_states(run, tick + 200)

@@ -193,7 +193,7 @@ def test_a_client_of_version_1_is_served(scene: Scene) -> None:
     plant = Plant(scene)
     plant.exchange(np.ones(3))
     measurement = plant.measurement
-    short, size = ARM.ffi.offsetof("arm_measurement", "sensors"), ARM.sizeof("arm_measurement")
+    short, size = ARM.ffi.offsetof("arm_measurement", "sensors"), ARM.get_size("arm_measurement")
     struct = ARM.ffi.new("arm_measurement *")
     room = ARM.ffi.buffer(struct)
     room[:] = bytes(ARM.ffi.buffer(measurement, short)) + b"\xab" * (size - short)

@@ -311,9 +311,9 @@ def test_a_link_rests_within_counts(seed: int, counts: int) -> None:
     for tick in range(ticks):
         measured, theta_m = session.measured, session.state.theta_m
         read = np.floor(theta_m * counts / (2.0 * np.pi)).astype(np.int64)
-        drives.measure(session.logical_ns, read, measured.current, measured.applied)
-        drives.aim(Target(target))
-        session.offer(tick, scene.joint_names, drives.command(powered=True).tolist())
+        drives.take_measurement(session.logical_ns, read, measured.current, measured.applied)
+        drives.set_target(Target(target))
+        session.offer(tick, scene.joint_names, drives.compute_commands(powered=True).tolist())
         session.advance()
         if tick >= ticks - 2000:
             rows.append(session.state.q)

@@ -22,27 +22,27 @@ def test_targets_go_on_with_their_speed_for_no_longer_than_a_motion_period(seed:
     q, v, at = 0.0, 0.0, 0
     for tick in range(200):
         count, current = int(rng.integers(-3, 4)), float(rng.normal())
-        drives.measure(tick * 1_000_000, [count], [current])
+        drives.take_measurement(tick * 1_000_000, [count], [current])
         twin.observe([count], [current])
         if tick == 0 or rng.random() < 0.03:
             q, v, at = float(rng.normal(0.0, 0.01)), float(rng.normal(0.0, 0.1)), tick
             moving = rng.random() < 0.8
             v = v if moving else 0.0
-            drives.aim(Target(np.array([q]), np.array([v]) if moving else None))
+            drives.set_target(Target(np.array([q]), np.array([v]) if moving else None))
         ahead = min((tick - at) / 1000, motion_period)
         expected = twin.control([q + v * ahead], [v])
-        assert drives.command(powered=True) == expected, f"voltage of tick {tick}"
+        assert drives.compute_commands(powered=True) == expected, f"voltage of tick {tick}"
 
 
 def test_targets_that_go_on_stay_within_the_limits_of_a_joint() -> None:
     """At the bound of positions, outwards: no refusal within the loop, which nobody would catch."""
     largest = POSITION.most
     drives = ServoArm(ServoConfig(PERIOD, 0.05, 0.2, 2.0, 48.0, (JOINT,)))
-    drives.measure(0, [0], [0.0])
-    drives.aim(Target(np.array([-largest]), np.array([-VELOCITY.most])))
+    drives.take_measurement(0, [0], [0.0])
+    drives.set_target(Target(np.array([-largest]), np.array([-VELOCITY.most])))
     for tick in range(60):
-        drives.measure(tick * 1_000_000, [0], [0.0])
-        assert np.isfinite(drives.command(powered=True)).all()
+        drives.take_measurement(tick * 1_000_000, [0], [0.0])
+        assert np.isfinite(drives.compute_commands(powered=True)).all()
 
 
 def test_a_smooth_motion_does_not_excite_a_gear_that_resonates_at_the_rate_of_the_targets() -> None:
@@ -61,12 +61,12 @@ def test_a_smooth_motion_does_not_excite_a_gear_that_resonates_at_the_rate_of_th
     q = 0.5 * turn * (1.0 - np.cos(rate * np.maximum(t, 0.0)))
     a = 0.5 * turn * rate**2 * np.cos(rate * t) * (t > 0.0)
     for k in range(len(t) - 10):
-        drives.measure(k * 1_000_000, [machine.counts], [machine.x[0]], applied)
+        drives.take_measurement(k * 1_000_000, [machine.counts], [machine.x[0]], applied)
         if k % 10 == 0:
             mean = (q[k + 10] - q[k]) / T
             tau = 0.5 * inertia * (a[k] + a[k + 10]) + 0.5 * mean
-            drives.aim(Target(q[[k]], np.array([mean]), np.array([tau])))
-        applied = drives.command(True)
+            drives.set_target(Target(q[[k]], np.array([mean]), np.array([tau])))
+        applied = drives.compute_commands(True)
         machine.advance(applied[0])
         v.append(float(machine.x[4]))
     beside = np.diff(v[::5])[80:] / (5 * PERIOD) - a[402:-8:5][: len(v[::5]) - 81]
@@ -83,9 +83,9 @@ def test_speeds_in_steps_are_not_applied_to_the_rotor_twice() -> None:
     drives = ServoArm(ServoConfig(PERIOD, T, 0.2, 2.0, 48.0, (JOINT,)))
     changes = []
     for k in range(8):
-        drives.measure(k * 10_000_000, [0], [0.0])
-        drives.aim(Target(np.zeros(1), np.array([float(k > 3)]), np.zeros(1)))
-        drives.command(powered=True)
+        drives.take_measurement(k * 10_000_000, [0], [0.0])
+        drives.set_target(Target(np.zeros(1), np.array([float(k > 3)]), np.zeros(1)))
+        drives.compute_commands(powered=True)
         state = drives.servo.state[0]
         changes += [state["a_target"] * T, (state["a_target"] + state["jerk_target"] * T) * T]
     assert max(changes) <= 1.8 + 1e-9
@@ -101,11 +101,11 @@ def test_a_ramp_of_targets_with_speeds_is_followed_without_stairs(speed: float) 
         drives = ServoArm(ServoConfig(PERIOD, motion_period, 0.2, 2.0, 48.0, (JOINT,)))
         machine, off = Drivetrain(JOINT), []
         for tick in range(1500):
-            drives.measure(tick * 1_000_000, [machine.counts], [machine.x[0]])
+            drives.take_measurement(tick * 1_000_000, [machine.counts], [machine.x[0]])
             if tick % 50 == 0:
-                drives.aim(Target(np.array([speed * PERIOD * tick]), np.array([speed])))
+                drives.set_target(Target(np.array([speed * PERIOD * tick]), np.array([speed])))
             off.append(machine.x[3] - speed * PERIOD * tick)
-            machine.advance(drives.command(powered=True)[0])
+            machine.advance(drives.compute_commands(powered=True)[0])
         ripple[name] = np.ptp(off[1000:])
     # Encoder counts and the gear are left: a count is 6e-5 rad.
     assert ripple["line"] < 3.0 * JOINT.count_angle, f"{ripple}"

@@ -80,7 +80,7 @@ def retune(run: OfflineRun) -> None:
         dataclasses.replace(joint, position_gain=0.5 * joint.position_gain)
         for joint in config.joints
     )
-    run.drives.retune(dataclasses.replace(config, joints=joints))
+    run.drives.set_config(dataclasses.replace(config, joints=joints))
 
 
 STORY: list[tuple[int, str, Act]] = [
@@ -203,7 +203,7 @@ def test_a_run_that_ctrl_c_broke_off_goes_on_as_the_straight_run(
 
     @contextmanager
     def break_off_at(tick: int) -> Iterator[None]:
-        instruct = line.run._instruct
+        instruct = line.run._instruct_servo
 
         def interrupted() -> None:
             if answered or line.run.tick != tick:

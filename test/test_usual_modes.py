@@ -8,7 +8,7 @@ from machines import DC, GANTRY, gantry_urdf, write_scene
 
 from arm_emulator.machine.plant.compiler import load_machine_with
 from arm_emulator.machine.scene.scene import load_scene
-from arm_emulator.toolchain.c_header import Header, pointer
+from arm_emulator.toolchain.c_header import Header, make_pointer
 
 ELASTIC = {"ratio": 0.02, "stiffness": 2e4, "damping": 20.0}
 STOPS = {"lower": -0.5, "upper": 0.7, "stiffness": 3e3, "damping": 5.0}
@@ -66,7 +66,7 @@ def test_drives_that_state_they_are_in_regular_modes_are(tmp_path: Path) -> None
 
     def ask(joint: int, brake_open: bool) -> list[int]:
         counted = np.zeros(3, np.int32)
-        core.ask(joint, brake_open, 20_000, pointer(counted))
+        core.ask(joint, brake_open, 20_000, make_pointer(counted))
         return counted.tolist()
 
     at_once, wrongly, in_regular_modes = ask(0, True)

@@ -15,7 +15,7 @@ from draws import FULL, some
 from machines import Oracle, write_scene
 
 from arm_emulator import Diverged, Measured, Plant, Scene, load_scene
-from arm_emulator.base.urdf.frames import Frame, frame_of
+from arm_emulator.base.urdf.frames import Frame, make_frame
 from arm_emulator.machine.chain import Body, ChainJoint
 from arm_emulator.machine.parts.drive_stages.current_loop import CurrentLoop
 from arm_emulator.machine.plant.outputs import KNOWN
@@ -74,7 +74,9 @@ def words(values: Any) -> str:
 
 def skewed_joint(rng: np.random.Generator) -> ChainJoint:
     """A joint whose axes are near to those of its link, and what it moves."""
-    R = frame_of((0.0, 0.0, 0.0), 0.5 * np.pi * rng.integers(-2, 3, 3) + [tilt(rng) for _ in "xyz"])
+    R = make_frame(
+        (0.0, 0.0, 0.0), 0.5 * np.pi * rng.integers(-2, 3, 3) + [tilt(rng) for _ in "xyz"]
+    )
     A = rng.normal(size=(3, 3))
     body = Body(float(rng.uniform(0.5, 3.0)), rng.normal(size=3), A @ A.T + np.eye(3))
     nowhere = np.zeros(3)

@@ -17,7 +17,7 @@ class ClockedWatchdog(Watchdog):
     """A watchdog without a servo, at times that a test states [s]."""
 
     def __init__(self, hold_after: float, cut_after: float) -> None:
-        super().__init__(hold_after, cut_after, SERVO.new("servo_watchdog"))
+        super().__init__(hold_after, cut_after, SERVO.make_struct("servo_watchdog"))
         self.reset()
 
     def reset(self) -> None:
@@ -97,8 +97,8 @@ def test_a_joint_that_holds_keeps_the_angle_at_which_it_began() -> None:
     drives, still = ServoArm(config), np.zeros(len(config.joints))
     for tick in range(20):
         counts = still + 500.0 + 7.0 * tick
-        drives.measure(round(tick * config.period * 1e9), counts, still, still)
-        drives.command(True)
+        drives.take_measurement(round(tick * config.period * 1e9), counts, still, still)
+        drives.compute_commands(True)
         began = [
             500.5 * 2.0 * math.pi / joint.counts_per_turn * joint.gear_ratio
             for joint in config.joints

@@ -22,12 +22,12 @@ def random_visits(fresh: Callable[[], TableRun], rng: np.random.Generator, last:
         assert visited.session.plant.save() == expected[tick], f"at tick {tick} of {last}"
     line.go_to(100)
     fork = line.fork()
-    fork.change("another table", lambda run: run.aim(table))
+    fork.change("another table", lambda run: run.set_table(table))
     fork.advance(100)
     line.go_to(last)
     fork.go_to(170)
     forked.advance(100)
-    forked.aim(table)
+    forked.set_table(table)
     forked.advance(70)
     assert visited.session.plant.save() == forked.session.plant.save() != expected[170], "the fork"
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from arm_emulator.servo.servo_config import JointServo
 from arm_emulator.servo.servo_law import CURRENT, POSITION, SERVO, SPEED, Rows, servo_law
-from arm_emulator.servo.servo_numbers import servo_numbers
+from arm_emulator.servo.servo_numbers import make_servo_numbers
 
 STATES = ("theta", "omega", "load", "current", "integral")
 INPUTS = ("theta", "current", "applied", "target", "v_target", "tau_feedforward")
@@ -50,7 +50,7 @@ class LinearServo:
     """
 
     def __init__(self, joint: JointServo, period: float, loop: Loop = Loop.POSITION) -> None:
-        numbers = servo_numbers((joint,), period, math.inf)
+        numbers = make_servo_numbers((joint,), period, math.inf)
         for limit in ("omega_limit", "current_limit", "voltage_limit"):
             numbers[limit] = math.inf
         numbers["count_angle"] = -1.0  # no target counts as reached
@@ -67,13 +67,13 @@ class LinearServo:
 
 
 def _tick(numbers: Rows, loop: Loop, states: list[float], inputs: list[float]) -> list[float]:
-    law, state = servo_law(), SERVO.rows("servo_state", 1)
+    law, state = servo_law(), SERVO.make_rows("servo_state", 1)
     state["known"] = 1
     for name, value in zip(STATES, states, strict=True):
         state[name] = value
-    places = SERVO.pointer("servo_joint", numbers), SERVO.pointer("servo_state", state)
+    places = SERVO.make_pointer("servo_joint", numbers), SERVO.make_pointer("servo_state", state)
     theta, current, applied, target, v_target, tau = inputs
-    setpoint = SERVO.new("servo_wish", v_target=v_target, tau=tau)
+    setpoint = SERVO.make_struct("servo_wish", v_target=v_target, tau=tau)
     setpoint.least_omega = setpoint.least_current = -math.inf
     setpoint.most_omega = setpoint.most_current = math.inf
     match loop:

@@ -108,19 +108,19 @@ class SensitiveMachine:
         scene, N, dt = self._scene, len(self._scene.joints), self._scene.integrator.dt
         steps = scene.steps_per_period if steps is None else steps
         steps = check_count(WHERE, "steps", steps, 1, LARGEST_STEPS)
-        rows = np.atleast_2d(ANY_COMMANDS.numbers(WHERE, commands))
+        rows = np.atleast_2d(ANY_COMMANDS.check_numbers(WHERE, commands))
         if rows.ndim != 2 or rows.shape[1] != N:
             raise Refusal(WHERE, ANY_COMMANDS.name, f"have shape (K, {N})", rows.shape)
-        ANY_COMMANDS.check(WHERE, rows)
+        ANY_COMMANDS.check_values(WHERE, rows)
         inputs = {
             "parameters": np.array([(values or {}).get(o.name, o.value) for o in self._varied]),
-            "q": POSITION.row(WHERE, scene.start if q is None else q, N),
-            "v": VELOCITY.row(WHERE, np.zeros(N) if v is None else v, N),
+            "q": POSITION.check_row(WHERE, scene.start if q is None else q, N),
+            "v": VELOCITY.check_row(WHERE, np.zeros(N) if v is None else v, N),
             "commands": np.ascontiguousarray(rows),
         }
         if motors is not None:
             pairs = zip(("theta_m", "omega_m"), motors, strict=True)
-            inputs |= {name: ANY_STATE.row(WHERE, row, N) for name, row in pairs}
+            inputs |= {name: ANY_STATE.check_row(WHERE, row, N) for name, row in pairs}
         places = np.array(self._places, dtype=int)
         parts = max(1, -(-len(places) // DIRECTIONS))
         seeds = np.zeros((parts, len(self._varied) + 2 * N, DIRECTIONS))
@@ -133,7 +133,7 @@ class SensitiveMachine:
             quantities = np.empty(slopes.shape[:-1])
             names = ("parameter_seeds", "q_seeds", "v_seeds")
             of = {n: np.ascontiguousarray(o[some]) for n, o in zip(names, of_names, strict=True)}
-            request = SENSITIVITY.new(
+            request = SENSITIVITY.make_struct(
                 "arm_sensitive_run", step=dt, rows=len(rows), steps=steps,
                 parts=some.stop - some.start, values=quantities,
                 slopes=slopes.ravel()[some.start * DIRECTIONS :], stride=slopes.shape[-1],

@@ -20,7 +20,7 @@ from arm_emulator.analysis.stability import SmallMotions, list_contacts
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf.urdf_text import UNLIMITED
-from arm_emulator.base.warning import warn
+from arm_emulator.base.warning import print_warnings
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
@@ -239,9 +239,9 @@ def warn_of_loops(scene: Scene, servo: ServoConfig) -> None:
     Raises:
         Refusal: see `check_loops`.
     """
-    warn(*scene.warnings)
+    print_warnings(*scene.warnings)
     for line in check_loops(scene, servo):
-        warn(line)
+        print_warnings(line)
 
 
 def check_loops(scene: Scene, servo: ServoConfig) -> list[str]:

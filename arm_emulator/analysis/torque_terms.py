@@ -12,7 +12,7 @@ from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.toolchain.c_header import NULL, pointer
+from arm_emulator.toolchain.c_header import NULL, make_pointer
 
 # Rows of arm_torque_terms before those of extras.
 _OF_LINK = (
@@ -72,7 +72,9 @@ class TorqueTerms:
         of_machine = np.zeros((plant.call_equation("arm_torque_terms", NULL, NULL), len(joints)))
         powered_command = np.zeros(len(joints))
         powered_command[places] = np.asarray(command) * plant.powered
-        plant.call_equation("arm_torque_terms", pointer(powered_command), pointer(of_machine))
+        plant.call_equation(
+            "arm_torque_terms", make_pointer(powered_command), make_pointer(of_machine)
+        )
         out = of_machine[:, places]
         k, n = len(_OF_LINK), len(_OF_LINK) + len(_OF_ROTOR)
         link, rotor = (

@@ -94,20 +94,20 @@ class TargetedRun(OfflineRun):
     def _advance_by_hand(self) -> None:
         """Change the machine behind the servo's answer, and go on under that."""
         session = self.session
-        self._instruct()
-        rows = self._step.command(session.powered)
+        self._instruct_servo()
+        rows = self._step.compute_commands(session.powered)
         for change in self.changes_here:
             session.restore(change.saved)
         session.advance_under(rows, session.tick)
         if session.fault is not None:
             raise session.fault
 
-    def _instruct(self) -> None:
-        self._step.measure(self.session.plant)
+    def _instruct_servo(self) -> None:
+        self._step.take_measurement(self.session.plant)
         target = self._targets.get(self.session.tick)
         if target is not None:
             self.aimed = target.q
-            self.drives.aim(target)
+            self.drives.set_target(target)
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def _read_targets(
 ) -> dict[int, Target]:
     """Return the targets of the last run, by the ticks of the joint states that they answer."""
     targets: dict[int, Target] = {}
-    arrange, tick = JointOrder("joint_targets", joints).arrange, -1
+    arrange, tick = JointOrder("joint_targets", joints).arrange_values, -1
     for name, message, _ in topics.read_with_time("motor_states", "joint_targets"):
         if name == "motor_states":
             if message.tick < tick:

@@ -12,7 +12,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.recording.bag import Bag
 from arm_emulator.ros.recording.bag_metadata import FORKED_AT, PARENT
 from arm_emulator.runs.offline import OfflineRun, load_offline_run
-from arm_emulator.runs.order import Order, as_data, of_data
+from arm_emulator.runs.order import Order, convert_to_data, read_order
 from arm_emulator.runs.timeline import Timeline, TimelineChange
 from arm_emulator_msgs.msg import MachineEvent
 
@@ -43,7 +43,9 @@ def write_timeline(line: Timeline[OfflineRun], folder: Path, parent: Path | None
         (change.tick, change.action) for change in line.changes if isinstance(change.action, Order)
     ]
     if len(orders) == len(line.changes):
-        about[ORDERS] = json.dumps([{"tick": tick, **as_data(order)} for tick, order in orders])
+        about[ORDERS] = json.dumps(
+            [{"tick": tick, **convert_to_data(order)} for tick, order in orders]
+        )
     if isinstance(line.run, TargetedRun):
         about[TARGETS] = line.run.source
     if parent is not None:
@@ -125,5 +127,5 @@ def _read_orders(topics: RecordedTopics) -> list[tuple[int, Order]]:
         earliest = orders[-1][0] if orders else 0
         if not isinstance(tick, int) or isinstance(tick, bool) or tick < earliest:
             raise Refusal(where, "tick of an order", f"be a number from {earliest} on", tick)
-        orders.append((tick, of_data(where, entry, (LeaveChanges,))))
+        orders.append((tick, read_order(where, entry, (LeaveChanges,))))
     return orders

@@ -37,7 +37,7 @@ class Column:
         """Its name with the unit, such as ``measured.current.elbow [A]``."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
-    def of(self, rows: Rows) -> NDArray[Any]:
+    def select_values(self, rows: Rows) -> NDArray[Any]:
         """Return it for rows (K,)."""
         values: NDArray[Any] = rows[self.field]
         if self.member:

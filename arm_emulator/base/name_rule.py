@@ -15,7 +15,7 @@ def check_scene_name(where: str, name: str) -> str:
     Raises:
         Refusal: it breaks the rule.
     """
-    _check(where, "name", name, SCENE_MARKS)
+    _check_name(where, "name", name, SCENE_MARKS)
     if name[0] in SCENE_MARKS.replace("_", ""):
         raise Refusal(where, "name", "begin with a letter, a digit or _", repr(name))
     return name
@@ -23,10 +23,10 @@ def check_scene_name(where: str, name: str) -> str:
 
 def check_joint_name(where: str, quantity: str, name: str) -> None:
     """Refuse the name of a joint or of a unit of sensors that breaks the rule."""
-    _check(where, quantity, name, JOINT_MARKS)
+    _check_name(where, quantity, name, JOINT_MARKS)
 
 
-def _check(where: str, quantity: str, name: str, marks: str) -> None:
+def _check_name(where: str, quantity: str, name: str, marks: str) -> None:
     if not all(c == " " or c in marks or unicodedata.category(c)[0] in "LMN" for c in name):
         rule = f"have letters, digits, blanks and {marks} only"
         raise Refusal(where, quantity, rule, repr(name))

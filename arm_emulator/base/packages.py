@@ -39,13 +39,13 @@ def find_entries(group: str) -> dict[str, EntryPoint]:
     return {point.name: point for point in sorted(entry_points(group=group))}
 
 
-def missing_package(where: str, name: str) -> Refusal:
+def refuse_missing_package(where: str, name: str) -> Refusal:
     """Return the refusal of what needs a package of packages/, named without `arm_emulator_`."""
     remedy = f"`make setup` or pip install '.[{name}]' in a checkout of arm_emulator"
     return Refusal(where, f"package arm_emulator_{name}", "be installed", "none", remedy)
 
 
-def package_of_command(command: str) -> str | None:
+def find_package_of_command(command: str) -> str | None:
     """Return which package of packages/ has a command; None if no package has it."""
     return next((name for name, commands in COMMANDS_OF.items() if command in commands), None)
 
@@ -63,7 +63,7 @@ def find_entry(package: str, group: str, name: str) -> EntryPoint:
     """
     point = find_entries(group).get(name)
     if point is None:
-        raise missing_package(package, package)
+        raise refuse_missing_package(package, package)
     return point
 
 

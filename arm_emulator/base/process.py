@@ -18,7 +18,7 @@ def list_end_signals() -> list[signal.Signals]:
     return [signal.SIGINT, signal.SIGTERM, *([] if ignored else [signal.SIGHUP])]
 
 
-def signal_at_end_of_parent(number: int) -> None:
+def request_signal_at_parent_end(number: int) -> None:
     """Let the system send this process a signal when the thread that began it ends."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
 

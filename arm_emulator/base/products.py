@@ -23,14 +23,14 @@ def apply_matrix(A: Array, v: npt.ArrayLike) -> Array:
     return multiply_matrices(A, np.asarray(v, np.float64)[..., None])[..., 0]
 
 
-def dot(a: Array, b: Array) -> float:
+def multiply_scalar(a: Array, b: Array) -> float:
     """Return the scalar product of two vectors."""
     return float(apply_matrix(a[None], b)[0])
 
 
 def measure_length(v: Array) -> float:
     """Return the length of a vector."""
-    return float(np.sqrt(dot(v, v)))
+    return float(np.sqrt(multiply_scalar(v, v)))
 
 
 def _multiply_two(A: Array, B: Array) -> Array:

@@ -45,7 +45,7 @@ class Registry(Generic[Kind]):
         self._kinds[name] = kind
         return kind
 
-    def kinds(self) -> dict[str, type[Kind]]:
+    def list_kinds(self) -> dict[str, type[Kind]]:
         """Return all classes by their names, in the order of their modules' names."""
         if not self._complete:
             package: ModuleType = importlib.import_module(self._package)

@@ -56,7 +56,9 @@ def refuse_missing_modules(where: str) -> None:
     """
     default_hook = sys.excepthook
 
-    def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    def handle_exception(
+        kind: type[BaseException], error: BaseException, trace: TracebackType | None
+    ) -> None:
         top = (getattr(error, "name", "") or "").partition(".")[0]
         if not isinstance(error, ModuleNotFoundError) or top in ("", "arm_emulator"):
             default_hook(kind, error, trace)
@@ -64,4 +66,4 @@ def refuse_missing_modules(where: str) -> None:
         print(refuse_missing_module(where, top), file=sys.stderr, flush=True)
         os._exit(2)  # Python would end with 1
 
-    sys.excepthook = hook
+    sys.excepthook = handle_exception

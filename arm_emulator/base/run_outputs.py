@@ -20,7 +20,7 @@ class RunOutputs:
     record: Path | None = None
     rerun: str | None = None
 
-    def check(self, where: str) -> None:
+    def check_options(self, where: str) -> None:
         """Refuse unusable options before anything starts.
 
         Raises:

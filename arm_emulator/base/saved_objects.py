@@ -34,20 +34,20 @@ class SavedObjects:
     def __init__(self) -> None:
         self._shared: dict[int, SharedObject] = {}
 
-    def save(self, objects: Any) -> Saved:
+    def copy_objects(self, objects: Any) -> Saved:
         """Return the objects as they are now."""
         into = io.BytesIO()
         _Pickler(into, self._shared).dump(objects)
         return Saved(into.getvalue(), self)
 
-    def restore(self, saved: Saved, where: str) -> Any:
+    def restore_objects(self, saved: Saved, where: str) -> Any:
         """Return copies of the objects as they were.
 
         Raises:
             Refusal: something else; `where` names the caller.
         """
         if not isinstance(saved, Saved) or saved.owner is not self:
-            raise Refusal(where, "saved", "be what `save` of the same run returned", saved)
+            raise Refusal(where, "saved", "be what `copy_objects` of the same run returned", saved)
         return _Unpickler(io.BytesIO(saved.data), self._shared).load()
 
 

@@ -48,11 +48,11 @@ def synchronized(
     """Return a method that holds the lock."""
 
     @functools.wraps(method)
-    def call(self: This, *args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+    def call_locked(self: This, *args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
         with self.turn:
             return method(self, *args, **kwargs)
 
-    return call  # type: ignore[return-value]  # self can be given by position alone
+    return call_locked  # type: ignore[return-value]  # self can be given by position alone
 
 
 def _acquire_all() -> None:

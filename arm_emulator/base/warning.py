@@ -5,7 +5,7 @@ import sys
 issued: list[str] = []  # by this process
 
 
-def warn(*texts: str) -> None:
+def print_warnings(*texts: str) -> None:
     """Print warnings."""
     issued.extend(texts)
     for text in texts:

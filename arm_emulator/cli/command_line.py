@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from arm_emulator.base.memory import is_out_of_memory
-from arm_emulator.base.packages import missing_package, package_of_command
+from arm_emulator.base.packages import find_package_of_command, refuse_missing_package
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.required_package import refuse_missing_module
 from arm_emulator.base.standard_files import check_stdout, drop_descriptor, find_stdout_error
@@ -143,8 +143,8 @@ def _answer_without_command(words: Sequence[str]) -> int:
 
         output.line(f"arm_emulator {VERSION}")
         output.facts({"version": VERSION})
-    elif (package := package_of_command(words[0])) is not None:
-        return _print_refusal(missing_package(words[0], package))
+    elif (package := find_package_of_command(words[0])) is not None:
+        return _print_refusal(refuse_missing_package(words[0], package))
     else:
         similar = difflib.get_close_matches(words[0], command_names())
         near = (

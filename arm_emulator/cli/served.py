@@ -5,12 +5,12 @@ from contextlib import contextmanager
 from typing import Any
 
 from arm_emulator.base.run_outputs import RunOutputs
-from arm_emulator.base.warning import warn
+from arm_emulator.base.warning import print_warnings
 from arm_emulator.cli.output import output
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.session.real_time import open_real_time_session
 from arm_emulator.machine.session.session import Session
-from arm_emulator.page.control_server import watched
+from arm_emulator.page.control_server import serve_controls
 from arm_emulator.runs.recorder import Recorder
 
 
@@ -26,13 +26,13 @@ def served_session(
         outputs: records of it.
         page: address of its page in the browser, if any.
     """
-    warn(*scene.warnings)
+    print_warnings(*scene.warnings)
     waits = clock != "realtime"
     if waits:
         session = Session(scene, "lockstep", "first_answer")
     else:
         session = open_real_time_session(scene, "first_answer")
-    with session, Recorder(session.plant, outputs, waits), watched(session, page):
+    with session, Recorder(session.plant, outputs, waits), serve_controls(session, page):
         yield session
 
 

@@ -14,9 +14,9 @@ from arm_emulator.base.validation.section import Section
 
 NANOSECONDS = 1_000_000_000
 
-_DISPLACEMENT = Number.within("displacement", "m", 100.0)
+_DISPLACEMENT = Number.bound_size("displacement", "m", 100.0)
 _SETTLE = Number("settle", "s", at_least=0.0, at_most=1000.0)
-_DEMO_MOTION = Number.within("shown", "m", 100.0)
+_DEMO_MOTION = Number.bound_size("shown", "m", 100.0)
 _INSTRUCTIONS = Number("instructions", at_least=1, at_most=1_000_000, whole=True)
 
 
@@ -43,12 +43,12 @@ class DemoPlan:
         """
         file = find_beside(scene, "demo")
         section = Section(read_yaml(file), file.name)
-        displacement = section.vector(_DISPLACEMENT)
-        settle, instructions = section.number(_SETTLE), section.integer(_INSTRUCTIONS)
-        motion = section.vector(_DEMO_MOTION)
-        section.finish()
+        displacement = section.read_vector(_DISPLACEMENT)
+        settle, instructions = section.read_number(_SETTLE), section.read_integer(_INSTRUCTIONS)
+        motion = section.read_vector(_DEMO_MOTION)
+        section.refuse_unread_keys()
         if displacement is None:
-            raise section.refusal("displacement", "be given", "nothing")
+            raise section.make_refusal("displacement", "be given", "nothing")
         periods = round(settle * NANOSECONDS / period_ns)
         return cls(
             np.array(displacement),

@@ -15,7 +15,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf.frames import Frame, frame_of
+from arm_emulator.base.urdf.frames import Frame, make_frame
 from arm_emulator.design.mesh_file import find_mesh
 from arm_emulator.machine.chain import Body
 from arm_emulator.motion.model.mesh_units import read_mesh_unit
@@ -100,7 +100,7 @@ def _read_shape(element: ET.Element, folder: Path) -> tuple[Body, str]:
     origin, geometry = element.find("origin"), element.find("geometry")
     at = Frame()
     if origin is not None:
-        at = frame_of(_read_row(origin, "xyz", "0 0 0"), _read_row(origin, "rpy", "0 0 0"))
+        at = make_frame(_read_row(origin, "xyz", "0 0 0"), _read_row(origin, "rpy", "0 0 0"))
     shape = None if geometry is None else next(iter(geometry), None)
     if shape is None:
         raise Refusal("new", "geometry", "be a shape", "without one")

@@ -325,7 +325,7 @@ def _compute_positions(tree: _Tree) -> dict[str, float]:
         for joint in tree.joints
         if joint.follows and joint.kind in MOVING and joint.name in tree.followers
     }
-    return positions | {name: law.position(positions) for name, law in couplings.items()}
+    return positions | {name: law.compute_position(positions) for name, law in couplings.items()}
 
 
 def _hold_joint(joint: _Joint, chosen: Sequence[_Joint], position: float) -> LockedJoint:

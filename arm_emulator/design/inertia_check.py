@@ -19,7 +19,7 @@ import numpy as np
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf.frames import compute_cross
-from arm_emulator.base.warning import warn
+from arm_emulator.base.warning import print_warnings
 from arm_emulator.design.assumed_bodies import read_shape_body
 from arm_emulator.machine.chain import Body, Chain
 from arm_emulator.machine.scene.urdf_bodies import read_bodies
@@ -103,12 +103,12 @@ def check_inertias(doubtful: Sequence[Doubt], where: str) -> None:
             valid += f"; likewise links {', '.join(others)}"
         raise Refusal(where, f"inertia of link {first.link}", "be a body's", first.reason, valid)
     for doubt in doubtful[:MAX_WARNINGS]:
-        warn(f"{where}: {doubt}")
+        print_warnings(f"{where}: {doubt}")
     if len(doubtful) > MAX_WARNINGS:
         links = ", ".join(dict.fromkeys(doubt.link for doubt in doubtful[MAX_WARNINGS:]))
-        warn(f"{where}: doubtful inertias, too, of links {links}")
+        print_warnings(f"{where}: doubtful inertias, too, of links {links}")
     if doubtful:
-        warn(f"{where}: doubtful inertias: {REMEDY}")
+        print_warnings(f"{where}: doubtful inertias: {REMEDY}")
 
 
 def _read_shape(link: ET.Element, folder: Path) -> Body | None:

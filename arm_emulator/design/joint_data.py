@@ -73,8 +73,8 @@ def load_joint_data(name: str) -> JointData:
         raise Refusal("new", "--joint", "name a joint with a data file", name, ", ".join(names))
     file = _find_folder() / f"{name}.yaml"
     root = Section(read_yaml(file), file.name)
-    supply = root.number(_SUPPLY)
-    section = root.required_section("joints").required_section(name)
+    supply = root.read_number(_SUPPLY)
+    section = root.require_section("joints").require_section(name)
     return JointData(
         name, supply, read_joint(name, "revolute", section, None), _read_section_lines(file)
     )

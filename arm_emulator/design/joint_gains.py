@@ -281,7 +281,7 @@ def model_joint(
 ) -> SampledPlant:
     """Return one joint: motor, gear and a link that nothing else moves."""
     bandwidth = motor.torque_bandwidth or motor.current_bandwidth
-    R, L, Kb = CommandPath.by(
+    R, L, Kb = CommandPath.compute_path(
         motor.resistance, motor.inductance, motor.back_emf_constant, bandwidth
     )
     Kt = motor.torque_constant

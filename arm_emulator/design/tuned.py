@@ -319,12 +319,14 @@ def run(scene: Scene, servo: ServoConfig) -> TuningRun:
     for tick in range(ticks):
         state, measured = session.state, session.measured
         counts, current = measured.encoder_counts[order], measured.current[order]
-        drives.measure(session.logical_ns, counts, current, session.measured.applied[order])
+        drives.take_measurement(
+            session.logical_ns, counts, current, session.measured.applied[order]
+        )
         s, rate = _compute_quintic((tick - begin) * period / time)
         if tick % every == 0:
             q = scene.start + s * distance
-            drives.aim(Target(q[order], (rate / time * distance)[order]))
-        command = drives.command(session.powered)
+            drives.set_target(Target(q[order], (rate / time * distance)[order]))
+        command = drives.compute_commands(session.powered)
         if begin <= tick < end:
             off.append(state.q - scene.start - s * distance)
         if tick >= ticks - round(OBSERVED / period):

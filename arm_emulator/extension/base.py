@@ -22,7 +22,7 @@ from arm_emulator.base.expression.formula import (
     Window,
     bind_signals,
     expand_stars,
-    fold,
+    fold_expression,
     parse_expression,
     parse_formula,
 )
@@ -61,5 +61,5 @@ from arm_emulator.base.validation.number import LARGEST as LARGEST_NUMBER
 from arm_emulator.base.validation.number import REQUIRED, Number, list_numbers, number
 from arm_emulator.base.validation.section import Section
 from arm_emulator.base.warning import issued as given_warnings
-from arm_emulator.base.warning import warn
+from arm_emulator.base.warning import print_warnings
 from arm_emulator.version import VERSION

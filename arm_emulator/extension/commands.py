@@ -17,5 +17,5 @@ from arm_emulator.cli.output import output, plain
 from arm_emulator.cli.run_report import ctrl_c_ends_at_once, ticks_of
 from arm_emulator.cli.run_report import report as report_run
 from arm_emulator.cli.served import served_session
-from arm_emulator.page.control_server import watched
-from arm_emulator.page.page_process import PageProcess, stay
+from arm_emulator.page.control_server import serve_controls
+from arm_emulator.page.page_process import PageProcess, wait_for_ctrl_c

@@ -6,8 +6,8 @@ from arm_emulator.servo.c import FOLDER as SERVO_FOLDER
 from arm_emulator.tick.c import FOLDERS as TICK_FOLDERS
 from arm_emulator.toolchain.c_header import NULL as C_NULL
 from arm_emulator.toolchain.c_header import CData, Header, Library
-from arm_emulator.toolchain.c_header import pointer as c_pointer
-from arm_emulator.toolchain.c_header import text as c_text
+from arm_emulator.toolchain.c_header import make_pointer as c_pointer
+from arm_emulator.toolchain.c_header import read_text as c_text
 from arm_emulator.toolchain.compiler_command import read_command
 from arm_emulator.toolchain.cxx import run_compiler
 from arm_emulator.toolchain.flags import ARITHMETIC, C_FLAGS

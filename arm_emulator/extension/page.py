@@ -4,7 +4,7 @@ from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
 from arm_emulator.machine.session.record_ring import SharedRing
 from arm_emulator.motion.model.mesh_units import list_package_folders, scale_to_metres
 from arm_emulator.page.controls import Controls, Vector
-from arm_emulator.page.page_address import PageAddress, page_token
+from arm_emulator.page.page_address import PageAddress, get_token
 from arm_emulator.runs.condition import Condition
 from arm_emulator.runs.order import (
     NO_VECTOR,

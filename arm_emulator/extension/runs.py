@@ -25,5 +25,5 @@ from arm_emulator.servo.servo_config import (
     load_servo_config,
 )
 from arm_emulator.servo.servo_law import Rows as ServoRows
-from arm_emulator.servo.servo_numbers import servo_numbers
+from arm_emulator.servo.servo_numbers import make_servo_numbers
 from arm_emulator.servo.watchdog import count_nanoseconds

@@ -24,7 +24,7 @@ def vary_places(chain: Chain, calibration: Calibration) -> list[Varied]:
     """Return the numbers by which the moving joints of a calibration are displaced."""
     declared = list_numbers(Deviation)
     return [
-        Varied(declared[key].named(f"{SECTION}.joints.{link.name}.{key}"), value)
+        Varied(declared[key].rename(f"{SECTION}.joints.{link.name}.{key}"), value)
         for link in chain.joints
         for key, value in read_place(link, calibration).items()
     ]

@@ -35,7 +35,7 @@ class ControlServer:
         self._controls, self._near, self._closing = controls, near, threading.Event()
         self._served = near is not None
 
-    def poll(self) -> bool:
+    def poll_requests(self) -> bool:
         """Answer waiting requests between two ticks; while time stands still on request, stay here.
 
         Returns:
@@ -46,12 +46,12 @@ class ControlServer:
             self._answer_requests(LOOK)
         return True
 
-    def drive(self, advance: Callable[[int], None], ticks: int) -> None:
+    def advance_ticks(self, advance: Callable[[int], None], ticks: int) -> None:
         """Let so many ticks pass, and answer requests in between."""
         if not self._served:
             advance(ticks)
             return
-        while ticks > 0 and self.poll():
+        while ticks > 0 and self.poll_requests():
             piece = min(ticks, self._controls.due or PIECE)
             advance(piece)
             ticks -= piece
@@ -63,7 +63,7 @@ class ControlServer:
         while not self._closing.is_set() and self._near is not None:
             if self._has_request():
                 with session.turn, session.between_ticks():
-                    self.poll()
+                    self.poll_requests()
 
     def _has_request(self) -> bool:
         """Return whether a request waits, or the page has ended."""
@@ -82,14 +82,16 @@ class ControlServer:
         try:
             while self._near.poll(timeout):
                 number, action, arguments = self._near.recv()
-                self._near.send((number, self._controls.tick, self._answer(action, arguments)))
+                self._near.send(
+                    (number, self._controls.tick, self._answer_request(action, arguments))
+                )
                 timeout = 0.0
         except (OSError, EOFError):
             self._near = None
             if not self._closing.is_set():
                 self._go_on_alone()
 
-    def _answer(self, action: str, arguments: tuple[Any, ...]) -> Any:
+    def _answer_request(self, action: str, arguments: tuple[Any, ...]) -> Any:
         """Return the answer to a request, which a browser may have filled with anything."""
         try:
             if action not in Controls.can(self._controls):
@@ -110,7 +112,7 @@ class ControlServer:
 
 
 @contextlib.contextmanager
-def watched(
+def serve_controls(
     machine: Plant | Session, at: str | int | None, *, steps: bool = False, waits: bool = False
 ) -> Iterator[ControlServer]:
     """Serve a page with a machine, and with actions on it, in this block.
@@ -137,7 +139,7 @@ def watched(
             there = partial(_PipedControls, far.fileno(), controls.can())
             page = PageProcess(plant, at, there, (far.fileno(),), waits)
         server = ControlServer(controls, near)
-        controls.changed = page.take
+        controls.changed = page.show_machine
         with page:
             print(f"page: {page.url}", flush=True)
             thread = None
@@ -174,7 +176,7 @@ class _PipedControls(Controls):
         self._events = []
         return news
 
-    def ask(self, action: str, *arguments: Any) -> Any:
+    def ask_server(self, action: str, *arguments: Any) -> Any:
         """Return the answer of the server.
 
         Raises:
@@ -196,8 +198,8 @@ class _PipedControls(Controls):
             raise answer
         return answer
 
-    def do(self, action: str, *arguments: Any) -> str:
-        answer = str(self.ask(action, *arguments))
+    def do_action(self, action: str, *arguments: Any) -> str:
+        answer = str(self.ask_server(action, *arguments))
         if action == "pause":
             self._paused = arguments[0]
         elif action != "step":

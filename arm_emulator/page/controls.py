@@ -55,7 +55,7 @@ class Controls:
         """Return the names of the actions that are there."""
         return frozenset(action for action in ACTIONS if hasattr(self, action))
 
-    def do(self, action: str, *arguments: Any) -> Any:
+    def do_action(self, action: str, *arguments: Any) -> Any:
         """Do an action, and return its answer."""
         return getattr(self, action)(*arguments)
 

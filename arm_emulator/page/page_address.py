@@ -30,7 +30,7 @@ class PageAddress:
     port: int = 0
 
     @classmethod
-    def of(cls, text: str | int) -> PageAddress:
+    def from_text(cls, text: str | int) -> PageAddress:
         """Return the address of a text [HOST:]PORT, or of a port.
 
         Raises:
@@ -55,7 +55,7 @@ class PageAddress:
             return self.host in EVERY and bool(ipaddress.ip_address(host or ""))
         return False
 
-    def free(self) -> PageAddress:
+    def choose_free_port(self) -> PageAddress:
         """Return this address with a port that is free now.
 
         Raises:
@@ -72,7 +72,7 @@ class PageAddress:
                 raise Refusal("page", "port", "be free", self.port) from error
             raise Refusal("page", "host", "be of this machine", self.host) from error
 
-    def url(self, token: str) -> str:
+    def write_url(self, token: str) -> str:
         """Return the address for browsers, with the secret of the page."""
         return f"http://{self.name}:{self.port}/{token}/"
 
@@ -82,12 +82,12 @@ VARIABLE = "ARM_EMULATOR_PAGE_TOKEN"
 BYTES = 16
 
 
-def new_token() -> str:
+def make_token() -> str:
     """Return a new random token, safe in a path."""
     return secrets.token_urlsafe(BYTES)
 
 
-def page_token() -> str:
+def get_token() -> str:
     """Return the token of the page of this process: that of its launcher, or a new one."""
     token = os.environ.pop(VARIABLE, "")
-    return token if re.fullmatch(r"[A-Za-z0-9_-]{20,}", token) else new_token()
+    return token if re.fullmatch(r"[A-Za-z0-9_-]{20,}", token) else make_token()

@@ -14,7 +14,7 @@ from arm_emulator.runs.row_process import RowProcess, dismiss_all
 PATIENCE = 4.0  # s, wall: for the end of the page
 
 
-def stay() -> None:
+def wait_for_ctrl_c() -> None:
     """Let browsers look at a run that has ended, until Ctrl-C."""
     print("page: until Ctrl-C", flush=True)
     with contextlib.suppress(KeyboardInterrupt):
@@ -71,10 +71,10 @@ class PageProcess:
             dismiss_all(self._process.plant)  # a recorder writes its end while the page ends
         self.close()
 
-    def take(self) -> None:
+    def show_machine(self) -> None:
         """Show the machine as it is now, after a change by hand."""
         if self._process is not None:
-            self._process.take()
+            self._process.take_row()
 
     @property
     def trouble(self) -> str:

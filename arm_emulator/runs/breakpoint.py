@@ -29,7 +29,7 @@ class Breakpoint:
         plant = coerce_kind(plant, Plant, where, "plant", "be a Plant")
         self.condition = Condition(text, plant.scene, where)
         self._plant, self._monitored = plant, MonitoredCondition(self.condition.formula, plant)
-        self.struct = CONDITION.new("breakpoint", what=self._monitored.struct, tick=-1)
+        self.struct = CONDITION.make_struct("breakpoint", what=self._monitored.struct, tick=-1)
         with plant.turn:  # it stops where it begins to hold
             self.struct.held = self._monitored.is_met()
             add_listener(plant, formula_library().breakpoint_take, self.struct)

@@ -84,15 +84,15 @@ class MonitoredCondition:
         self.plant, self._record = plant, RecordRow(plant)
         self._columns = {column.name: column for column in list_columns(plant.scene)}
         self._inputs: list[tuple[str, int]] = []
-        self._rows = FormulaRows(self._row_of_signal)
+        self._rows = FormulaRows(self._add_signal)
         self._rows.add_formula(formula)  # whose row is the last one
-        inputs = CONDITION.rows("condition_input", max(1, len(self._inputs)))
+        inputs = CONDITION.make_rows("condition_input", max(1, len(self._inputs)))
         for row, (kind, offset) in zip(inputs, self._inputs, strict=False):
-            row["kind"], row["offset"] = CONDITION.constant(f"CONDITION_{kind}"), offset
+            row["kind"], row["offset"] = CONDITION.get_constant(f"CONDITION_{kind}"), offset
         rows, values = self._rows.make_struct(), np.zeros(len(self._rows))
         record, ffi = self._record.rows, CONDITION.ffi
         self._owned = rows, values, inputs
-        self.struct = CONDITION.new(
+        self.struct = CONDITION.make_struct(
             "condition",
             rows=len(self._rows),
             row=rows,
@@ -104,7 +104,7 @@ class MonitoredCondition:
             truth=self._record.truth,
             record=ffi.cast("char *", ffi.from_buffer(record)),
             head=ffi.cast("record_row *", ffi.from_buffer(record)),
-            q=self._offset(record["q"]),
+            q=self._compute_offset(record["q"]),
         )
         if any(kind == "TOOL" for kind, _ in self._inputs):
             self._tool = ToolChain(plant.scene, plant.parameters)
@@ -115,20 +115,20 @@ class MonitoredCondition:
         with self.plant.turn:
             return bool(formula_library().condition_holds(self.struct, self.plant.machine))
 
-    def _row_of_signal(self, name: str) -> int:
+    def _add_signal(self, name: str) -> int:
         if name in TOOL:
             source = "TOOL", TOOL.index(name)
         else:
-            source = self._place(self._columns[name])
+            source = self._find_place(self._columns[name])
         if source not in self._inputs:
             self._inputs.append(source)
         return self._rows.add_input(self._inputs.index(source))
 
-    def _place(self, column: Column) -> tuple[str, int]:
-        place = column.of(self._record.rows)
-        return _KINDS[place.dtype.str[1:]], self._offset(place)
+    def _find_place(self, column: Column) -> tuple[str, int]:
+        place = column.select_values(self._record.rows)
+        return _KINDS[place.dtype.str[1:]], self._compute_offset(place)
 
-    def _offset(self, place: np.ndarray) -> int:
+    def _compute_offset(self, place: np.ndarray) -> int:
         base: int = self._record.rows.__array_interface__["data"][0]
         return int(place.__array_interface__["data"][0]) - base
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from arm_emulator.base.io.config_files import find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.warning import warn
+from arm_emulator.base.warning import print_warnings
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.motion.model.config import MotionConfig, load_motion_config
 from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
@@ -92,7 +92,7 @@ def warn_of_gravity(scene: Scene, motion: MotionConfig) -> None:
     gravity = (motion.gravity_x, motion.gravity_y, motion.gravity_z)
     real = scene.gravity or (0.0, 0.0, 0.0)
     if motion.gives in ("torque", "full") and gravity != tuple(real):
-        warn(
+        print_warnings(
             f"{scene.where}: the motion controller gives torques for a gravity of {gravity} "
             f"m/s2 (gravity_x, _y, _z), but the scene's is {real}"
         )

@@ -17,7 +17,7 @@ NEAR = 0.01
 
 def find_last_target(scene: Scene, targets: TargetTable, ticks: int) -> Array:
     """Return the joint targets that hold after so many ticks (N,) [rad or m]."""
-    begun = sum(tick < ticks for tick in targets.ticks(scene.servo_period))
+    begun = sum(tick < ticks for tick in targets.compute_ticks(scene.servo_period))
     return np.asarray(targets.q[begun - 1] if begun else scene.start)
 
 
@@ -46,12 +46,12 @@ def find_missed_order(run: OfflineRun) -> str:
         is_unfinished = not newest.state.is_final
         if is_unfinished and executor.waits_for:
             return f"{newest.state.name.lower()}: {executor.waits_for}"
-        return _describe(newest.state, now if is_unfinished else newest)
+        return _describe_progress(newest.state, now if is_unfinished else newest)
     if now.state is GoalState.REACHED:
         return ""
-    return f"reached, and left again, {_describe(now.state, now)}"
+    return f"reached, and left again, {_describe_progress(now.state, now)}"
 
 
-def _describe(state: GoalState, progress: GoalProgress) -> str:
+def _describe_progress(state: GoalState, progress: GoalProgress) -> str:
     why = f": {progress.reason}" if progress.reason else ""
     return f"{state.name.lower()}{describe_left(progress.distance, progress.angle)}{why}"

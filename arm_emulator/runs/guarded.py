@@ -17,7 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, NoReturn, TypeVar
 
-from arm_emulator.base.process import signal_at_end_of_parent
+from arm_emulator.base.process import request_signal_at_parent_end
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.session.firmware import RunningCode, make_progress
 from arm_emulator.tick.c import FIRMWARE_CONTROLLER
@@ -43,7 +43,7 @@ def run_guarded(name: str, work: Callable[[CData], Outcome]) -> Outcome:
     """
     if is_debugged():
         return work(make_progress())
-    progress = make_progress(mmap.mmap(-1, FIRMWARE_CONTROLLER.sizeof("firmware_progress")))
+    progress = make_progress(mmap.mmap(-1, FIRMWARE_CONTROLLER.get_size("firmware_progress")))
     sys.stdout.flush()
     sys.stderr.flush()
     watcher = os.getpid()
@@ -52,7 +52,7 @@ def run_guarded(name: str, work: Callable[[CData], Outcome]) -> Outcome:
         if child == 0:
             _do_work(work, progress, watcher, outcome)
         try:
-            status = _wait(child, name, progress)
+            status = _wait_for_child(child, name, progress)
         except KeyboardInterrupt:
             print(f"{name}, tick {progress.controller.tick}: ended by a signal", file=sys.stderr)
             raise
@@ -73,7 +73,7 @@ def run_guarded(name: str, work: Callable[[CData], Outcome]) -> Outcome:
 def _do_work(
     work: Callable[[CData], object], progress: CData, watcher: int, outcome: IO[bytes]
 ) -> NoReturn:
-    signal_at_end_of_parent(signal.SIGKILL)
+    request_signal_at_parent_end(signal.SIGKILL)
     result: object = SystemExit(1)
     if os.getppid() == watcher:
         try:
@@ -90,7 +90,7 @@ def _do_work(
     os._exit(0)
 
 
-def _wait(child: int, name: str, progress: CData) -> int:
+def _wait_for_child(child: int, name: str, progress: CData) -> int:
     """Wait for the child, and return its status; report a library that does not return."""
     looks, tick = 0, -1  # how often it was found at this tick
     with open(os.pidfd_open(child)) as end:

@@ -70,8 +70,8 @@ class OfflineRun(NonCopyable):
         # Indices of one side's joints in the other's arrays; a slice where the order is the same.
         places = _find_places("servo", scene.joint_names, servo.joint_names)
         names = self.controller.kinematics.joint_names
-        self._to_motion = _index(_find_places("joint_states", servo.joint_names, names))
-        self._from_motion = _index(_find_places("joint_targets", names, servo.joint_names))
+        self._to_motion = _index_places(_find_places("joint_states", servo.joint_names, names))
+        self._from_motion = _index_places(_find_places("joint_targets", names, servo.joint_names))
         self._step = ServoStep(self.drives, places)
         session = self.session
         self._loop = FirmwareLoop(session.plant, self._step)
@@ -103,7 +103,7 @@ class OfflineRun(NonCopyable):
         while session.tick < end:
             begun = session.tick % self.motion_ticks
             if begun == 0:
-                self._instruct()
+                self._instruct_servo()
             session.advance_in(self._loop, min(self.motion_ticks - begun, end - session.tick))
             if session.fault is not None:
                 raise session.fault
@@ -129,7 +129,7 @@ class OfflineRun(NonCopyable):
     def save(self) -> Saved:
         """Return machine, servo and motion controller as they are now, for `restore`."""
         parts = self.session.save(), self._step.save(), self.controller, self.instructor
-        return self._saved.save((*parts, self.aimed, self._motion))
+        return self._saved.copy_objects((*parts, self.aimed, self._motion))
 
     def restore(self, saved: Saved) -> None:
         """Go on from the tick at which `save` of this run has returned this, to the last bit.
@@ -139,7 +139,7 @@ class OfflineRun(NonCopyable):
         Raises:
             Refusal: something else; nothing has changed.
         """
-        session, step, *others = self._saved.restore(saved, "OfflineRun.restore")
+        session, step, *others = self._saved.restore_objects(saved, "OfflineRun.restore")
         self.session.return_to(session)
         self._step.restore(step)
         self.controller, self.instructor, self.aimed, self._motion = others
@@ -150,22 +150,22 @@ class OfflineRun(NonCopyable):
         order = self._from_motion
         return self.instructor.wind_up[order]
 
-    def _instruct(self) -> None:
+    def _instruct_servo(self) -> None:
         """Let the motion controller answer what the servo has measured."""
         session, drives = self.session, self.drives
         now = session.logical_ns
-        self._step.measure(session.plant)
+        self._step.take_measurement(session.plant)
         q = drives.servo.q_measured[self._to_motion]
         v = drives.servo.v_measured[self._to_motion]
         tau = drives.servo.tau_measured[self._to_motion]
         can = drives.movable(session.powered)[self._to_motion]
-        target = self._target(
+        target = self._make_target(
             self.instructor.compute_setpoint(self.controller, now, q, v, can, tau)
         )
         self.aimed = target.q
-        drives.aim(target)
+        drives.set_target(target)
 
-    def _target(self, instruction: JointSetpoint) -> Target:
+    def _make_target(self, instruction: JointSetpoint) -> Target:
         """Return joint targets in the servo's order of joints."""
         order = self._from_motion
         return Target(
@@ -177,12 +177,12 @@ class OfflineRun(NonCopyable):
 
 def _find_places(topic: str, names: tuple[str, ...], targets: tuple[str, ...]) -> list[int]:
     """Return what to index an array in the order `names` with, to get it in the order `targets`."""
-    place = Number.within("place", "", math.inf)
-    places = JointOrder(topic, targets).arrange(names, range(len(names)), place)
+    place = Number.bound_size("place", "", math.inf)
+    places = JointOrder(topic, targets).arrange_values(names, range(len(names)), place)
     return [int(place) for place in places]
 
 
-def _index(places: list[int]) -> slice | list[int]:
+def _index_places(places: list[int]) -> slice | list[int]:
     return slice(None) if places == list(range(len(places))) else places
 
 

@@ -118,7 +118,7 @@ class ScaleGains(Order):
             dataclasses.replace(joint, position_gain=self.factor * joint.position_gain)
             for joint in config.joints
         )
-        run.drives.retune(dataclasses.replace(config, joints=joints))
+        run.drives.set_config(dataclasses.replace(config, joints=joints))
 
 
 @dataclass(frozen=True)
@@ -164,12 +164,12 @@ ORDERS: tuple[type[Order], ...] = (MoveTool, SwitchPower, ScaleGains, SetVaried,
 """All kinds but those of the modules that read them beside these."""
 
 
-def as_data(order: Order) -> dict[str, Any]:
+def convert_to_data(order: Order) -> dict[str, Any]:
     """Return an order as it stands in a file."""
     return {"kind": order.kind, **dataclasses.asdict(order)}
 
 
-def of_data(where: str, data: Any, further: Sequence[type[Order]] = ()) -> Order:
+def read_order(where: str, data: Any, further: Sequence[type[Order]] = ()) -> Order:
     """Return the order that stands in a file.
 
     Args:

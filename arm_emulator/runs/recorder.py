@@ -51,10 +51,10 @@ class Recorder:
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         if kind is None and self._stays:
-            self._stay()
+            self._wait_for_ctrl_c()
         self.close()
 
-    def _stay(self) -> None:
+    def _wait_for_ctrl_c(self) -> None:
         """Let viewers look at what has ended, until Ctrl-C."""
         show = get_viewer_command(f"rerun+http://127.0.0.1:{self._outputs.rerun}/proxy")
         print(f"rerun: until Ctrl-C a viewer may connect: {show}", flush=True)

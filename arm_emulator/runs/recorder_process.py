@@ -28,8 +28,8 @@ def main() -> None:
         if task["record"] is not None:
             files.append(open_record("record", task["record"], task["columns"]))
     except Refusal as no:
-        end.leave(no)
-    end.answer(None)
+        end.send_last_answer(no)
+    end.send_answer(None)
     troubles = []
     try:
         _take_all(end, ring, files, show)
@@ -39,7 +39,7 @@ def main() -> None:
     troubles.append(close_view())
     if end.stopped:
         troubles.append("the recorder was ended by SIGTERM")
-    end.leave("; ".join(filter(None, troubles)))
+    end.send_last_answer("; ".join(filter(None, troubles)))
 
 
 def _take_all(
@@ -57,7 +57,7 @@ def _take_all(
             if len(rows):
                 show(rows)
                 for file in files:
-                    file.write(rows)
+                    file.write_rows(rows)
             if end.stopped or (over and not len(rows)):
                 break
             if not len(rows):  # rows that were written before the end are there when it is seen
@@ -78,7 +78,7 @@ def _open_view(task: dict[str, Any]) -> tuple[Callable[[Rows], None], Callable[[
     from arm_emulator.view.rerun_rows import RerunRows
 
     rows = RerunRows(task["rerun"], task["columns"], task["angle_per_count"], task["view"])
-    return rows.show, rows.close
+    return rows.show_rows, rows.close
 
 
 if __name__ == "__main__":

@@ -101,7 +101,7 @@ class Recording(NonCopyable):
             Diverged: see there; what was taken before is kept.
         """
         every = check_count("Recording.run", "every", every, 1)
-        rows = np.atleast_2d(ANY_COMMANDS.numbers("Recording.run", commands))
+        rows = np.atleast_2d(ANY_COMMANDS.check_numbers("Recording.run", commands))
         for first in range(0, len(rows), every):
             self._plant.run(rows[first : first + every], steps)
             self.take()
@@ -138,7 +138,7 @@ class Recording(NonCopyable):
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return all quantities as columns (K,): ``q.elbow``, ``measured.current.elbow``."""
-        return {column.name: column.of(self._rows) for column in self._columns}
+        return {column.name: column.select_values(self._rows) for column in self._columns}
 
     def table(self) -> Any:
         """Return the columns as a table of Arrow, with units (pyarrow must be installed)."""
@@ -156,13 +156,13 @@ class Recording(NonCopyable):
         part = file.with_name(f".{file.stem}.part{file.suffix}")
         part.unlink(missing_ok=True)
         if file.suffix == RERUN:
-            self._show(part)
+            self._write_rerun(part)
             part.replace(file)
             return
         check_suffix("Recording", "file", file)
         record = open_record("Recording", part, self._columns)
         try:
-            record.write(self._rows)
+            record.write_rows(self._rows)
             record.close()
             part.replace(file)
         except OSError as error:
@@ -170,12 +170,12 @@ class Recording(NonCopyable):
             part.unlink(missing_ok=True)
             raise Refusal("Recording", f"file {file}", "be writable", error.strerror) from None
 
-    def _show(self, file: Path) -> None:
+    def _write_rerun(self, file: Path) -> None:
         """Write all quantities as a recording of Rerun."""
         from arm_emulator.view.rerun_rows import RerunRows
 
         scene, angle = self._plant.scene, self._plant.link_angle_per_count
         rows = RerunRows(str(file), list_columns(scene), angle, get_view(scene))
-        rows.show(self._rows)
+        rows.show_rows(self._rows)
         if trouble := rows.close():
             raise Refusal("Recording", f"file {file}", "accept every row", trouble)

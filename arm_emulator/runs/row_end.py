@@ -9,7 +9,7 @@ import sys
 from types import FrameType
 from typing import Any, NoReturn
 
-from arm_emulator.base.process import signal_at_end_of_parent
+from arm_emulator.base.process import request_signal_at_parent_end
 
 _ORPHANED = signal.SIGUSR1  # which the system sends when the run has ended
 
@@ -38,10 +38,10 @@ class RowEnd:
         self.stopped = False
         for number in (signal.SIGINT, signal.SIGHUP):
             signal.signal(number, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, self._stop)
-        signal.signal(_ORPHANED, self._on_orphaned)
-        signal_at_end_of_parent(_ORPHANED)
-        self._on_orphaned()  # it may have died before that
+        signal.signal(signal.SIGTERM, self._stop_rows)
+        signal.signal(_ORPHANED, self._handle_orphaned)
+        request_signal_at_parent_end(_ORPHANED)
+        self._handle_orphaned()  # it may have died before that
         os.nice(niceness)
         self.task: dict[str, Any] = pickle.load(sys.stdin.buffer)
 
@@ -49,12 +49,12 @@ class RowEnd:
         """Return whether the process has to end, after a wait of at most `timeout` [s]."""
         return self.stopped or bool(select.select([sys.stdin], [], [], timeout)[0])
 
-    def answer(self, value: Any) -> None:
+    def send_answer(self, value: Any) -> None:
         """Hand the run an answer, see `RowProcess`."""
         with contextlib.suppress(BrokenPipeError):  # the run was killed
             self._responses.write(pickle.dumps(value))
 
-    def leave(self, value: Any) -> NoReturn:
+    def send_last_answer(self, value: Any) -> NoReturn:
         """Hand the run the last answer, and end.
 
         Python's own end has nothing to save here. On a busy machine it takes seconds.
@@ -62,7 +62,7 @@ class RowEnd:
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError):
                 stream.flush()
-        self.answer(value)
+        self.send_answer(value)
         os._exit(0)
 
     def end_in_time(self) -> None:
@@ -70,11 +70,11 @@ class RowEnd:
         if not signal.getitimer(signal.ITIMER_REAL)[0]:
             signal.setitimer(signal.ITIMER_REAL, self._grace)
 
-    def _stop(self, number: int, frame: FrameType | None) -> None:
+    def _stop_rows(self, number: int, frame: FrameType | None) -> None:
         self.stopped = True
         self.end_in_time()
 
-    def _on_orphaned(self, number: int = 0, frame: FrameType | None = None) -> None:
+    def _handle_orphaned(self, number: int = 0, frame: FrameType | None = None) -> None:
         # The system sends the signal when the thread of the run that began this process ends, too.
         if os.getppid() != self._run:
             self.end_in_time()

@@ -32,7 +32,7 @@ def dismiss_all(plant: Plant) -> None:
     """Dismiss every process that takes rows of a plant, before one of them is awaited."""
     for process in list(_all):
         if process.plant is plant:
-            process.dismiss()
+            process.end_input()
 
 
 class RowProcess:
@@ -54,7 +54,7 @@ class RowProcess:
         where: for refusals.
         waits: whether the machine waits for a slow reader; else rows that find no room are dropped
             and counted.
-        patience: wall time that it has to end in, from `dismiss` on [s]; then it is killed.
+        patience: wall time that it has to end in, from `end_input` on [s]; then it is killed.
         files: further descriptors that it inherits.
 
     Raises:
@@ -85,12 +85,12 @@ class RowProcess:
         finally:
             os.close(memory)
         assert process.stdin is not None
-        self.ready = self._answer(time.monotonic() + START)
+        self.ready = self._receive_answer(time.monotonic() + START)
         if isinstance(self.ready, Refusal):
-            self._end()
+            self._end_process()
             raise self.ready
         self._writer = RingWriter(ring, plant.core, row, process.stdin.fileno(), waits)
-        self.take()
+        self.take_row()
         add_listener(plant, self._writer.take, self._writer.struct)
         _all.add(self)
 
@@ -110,12 +110,12 @@ class RowProcess:
         code = self._process.poll()
         return "" if code is None else f"its process has ended, {_describe_exit(code)}"
 
-    def take(self) -> None:
+    def take_row(self) -> None:
         """Take a row of the machine as it is now; no exchange may be under way."""
         with self.plant.turn:
             self._writer.take(self._writer.struct, self.plant.machine)
 
-    def dismiss(self) -> float:
+    def end_input(self) -> float:
         """End the input of the process, the first time; return its deadline, which is then set."""
         if self._deadline is None:
             self._deadline = time.monotonic() + self._patience
@@ -125,8 +125,8 @@ class RowProcess:
 
     def close(self) -> Any:
         """Let the process take what waits, and return its last answer."""
-        answer = self._answer(self.dismiss())
-        self._end()
+        answer = self._receive_answer(self.end_input())
+        self._end_process()
         return answer
 
     def _close_input(self) -> None:
@@ -134,14 +134,14 @@ class RowProcess:
         with contextlib.suppress(BrokenPipeError):  # it has ended before it took its task
             self._process.stdin.close()
 
-    def _end(self) -> None:
+    def _end_process(self) -> None:
         """End the process, which has given its last answer."""
         self._close_input()
         self._responses.close()
         self._process.kill()
         self._process.wait()
 
-    def _answer(self, deadline: float) -> Any:
+    def _receive_answer(self, deadline: float) -> Any:
         """Return the next answer; kill the process if none comes until a deadline."""
         if not select.select([self._responses], [], [], max(0.0, deadline - time.monotonic()))[0]:
             self._process.kill()

@@ -19,7 +19,7 @@ HERE = Path(__file__).resolve().parent
 STEP = Header(HERE / "servo_step.h", (*tick.FOLDERS, FOLDER))
 
 
-def servo_step_unit() -> Unit:
+def make_servo_step_unit() -> Unit:
     """Return servo and step as what is compiled."""
     source = '#include "tick.c"\n#include "servo.c"\n#include "servo_step.c"\n'
     folders = (FOLDER, *tick.FOLDERS, HERE)
@@ -27,7 +27,7 @@ def servo_step_unit() -> Unit:
     return Unit("servo_step", source, C_FLAGS, folders, (STEP,), "servo", about, "servo.c")
 
 
-_servo_step = compile_once(servo_step_unit)
+_servo_step = compile_once(make_servo_step_unit)
 
 
 class ServoStep(ControlCode):
@@ -50,7 +50,7 @@ class ServoStep(ControlCode):
         servo = drives.servo
         counts, current, applied, q, *_, command = servo.places
         self._closed = np.zeros(len(place), np.int64)
-        self.with_ = STEP.new(
+        self.with_ = STEP.make_struct(
             "servo_step",
             arm=servo.arm,
             place=self._place,
@@ -64,11 +64,11 @@ class ServoStep(ControlCode):
         self._calls = _servo_step()
         self.step = self._calls.servo_step_step
 
-    def command(self, powered: bool) -> NDArray[np.float64]:
+    def compute_commands(self, powered: bool) -> NDArray[np.float64]:
         """Return the commands for the tick that was measured, in the machine's order (N,)."""
         self.with_.measured = 0
         rows = np.zeros(len(self._place))
-        rows[self._place] = self._drives.command(powered)
+        rows[self._place] = self._drives.compute_commands(powered)
         return rows
 
     def save(self) -> bytes:
@@ -81,6 +81,6 @@ class ServoStep(ControlCode):
         drives, self._closed[:], self.with_.measured = pickle.loads(saved)
         self._drives.restore(drives)
 
-    def measure(self, plant: Plant) -> None:
+    def take_measurement(self, plant: Plant) -> None:
         """Take the measurement of this tick before its step, for a target that follows from it."""
         self._calls.servo_step_measure(self.with_, plant.ticks)

@@ -51,14 +51,14 @@ class TableRun:
         self.session = session = Session(scene, "lockstep", "first_answer")
         self._servo = servo  # it must not go before the loop
         servo.start_on(session.plant, session.period_ns)
-        targets = None if table is None else self._targets(table)
+        targets = None if table is None else self._list_targets(table)
         self._loop = FirmwareLoop(session.plant, servo, targets)
         self._saved = SavedObjects()
 
-    def _targets(self, table: TargetTable) -> tuple[list[int], Array]:
+    def _list_targets(self, table: TargetTable) -> tuple[list[int], Array]:
         """Return the ticks from which on rows hold, and the rows."""
         scene = self.session.scene
-        ticks, rows = table.ticks(scene.servo_period), table.q
+        ticks, rows = table.compute_ticks(scene.servo_period), table.q
         if ticks[0] > 0:
             return [0, *ticks], np.vstack([scene.start, rows])
         return ticks, rows
@@ -71,11 +71,11 @@ class TableRun:
         """
         self.session.reset()
         self.session.restore(machine)
-        self.aim(table)
+        self.set_table(table)
 
-    def aim(self, table: TargetTable) -> None:
+    def set_table(self, table: TargetTable) -> None:
         """Follow another table from the present tick on."""
-        self._loop.set_targets(self._targets(table))
+        self._loop.set_targets(self._list_targets(table))
 
     def advance(self, ticks: int) -> None:
         """Advance by so many servo periods, or fewer up to a breakpoint.
@@ -115,7 +115,7 @@ class TableRun:
             Refusal: the control code cannot be saved.
         """
         parts = self.session.save(), self._servo.save(), self._loop.save()
-        return self._saved.save(parts)
+        return self._saved.copy_objects(parts)
 
     def restore(self, saved: Saved) -> None:
         """Go on from the tick at which `save` of this run has returned this, to the last bit.
@@ -123,7 +123,7 @@ class TableRun:
         Raises:
             Refusal: something else; nothing has changed.
         """
-        session, code, loop = self._saved.restore(saved, "TableRun.restore")
+        session, code, loop = self._saved.restore_objects(saved, "TableRun.restore")
         self.session.return_to(session)
         self._servo.restore(code)
         self._loop.restore(loop)

@@ -12,7 +12,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.io.table_file import Table, read_table
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.bound import POSITION
-from arm_emulator.base.warning import warn
+from arm_emulator.base.warning import print_warnings
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.motion.trajectory.joint_trajectory import ROUNDING, SPEED_BETWEEN_POINTS
@@ -40,7 +40,7 @@ class TargetTable:
         """Its duration, with a last row as long as the previous one; None: it has one row."""
         return float(2.0 * self.t[-1] - self.t[-2]) if len(self.t) > 1 else None
 
-    def ticks(self, period: float) -> list[int]:
+    def compute_ticks(self, period: float) -> list[int]:
         """Return the tick from which on each row holds: the first one not before its time."""
         return [math.ceil(t / period - _ROUNDING) for t in self.t.tolist()]
 
@@ -70,13 +70,13 @@ def load_target_table(
     numbers = table.values[:, [table.columns.index(name) for name in names]]
     if not len(numbers):
         raise Refusal(table.where, "table", "have a row of targets", "none")
-    _check(numbers, table, names)
+    _check_table(numbers, table, names)
     if check is not None:
         check(table.where, [f"line {line}" for line in table.lines], numbers[:, 0], numbers[:, 1:])
     return TargetTable(numbers[:, 0], numbers[:, 1:])
 
 
-def _check(numbers: Array, table: Table, names: Sequence[str]) -> None:
+def _check_table(numbers: Array, table: Table, names: Sequence[str]) -> None:
     """Refuse gaps, times that do not ascend and angles that are not finite, with their lines."""
     t, q = numbers[:, 0], numbers[:, 1:]
     for row, column in np.argwhere(np.isnan(numbers))[:1]:
@@ -174,7 +174,7 @@ def _warn_of_units(where: str, t: Array, q: Array, arm: Kinematics) -> None:
     if revolutions.size and revolutions.max() > 1.0:
         name = arm.joint_names[int(np.argmax(revolutions))]
         times = f"{revolutions.max():.3g} times"
-        warn(f"{where}: {name} turns {times}; targets must be in rad, not degrees")
+        print_warnings(f"{where}: {name} turns {times}; targets must be in rad, not degrees")
     regular = np.where(
         np.isfinite(arm.velocity_limit), arm.velocity_limit, arm.joint_scale * REGULAR_SPEED
     )
@@ -183,7 +183,7 @@ def _warn_of_units(where: str, t: Array, q: Array, arm: Kinematics) -> None:
     )
     in_seconds = len(t) >= _SECONDS_ROWS and bool((t == np.round(t)).all())
     if 0.0 < share <= (_SECONDS_SHARE if in_seconds else MILLI):
-        warn(
+        print_warnings(
             f"{where}: no joint moves at more than {100.0 * share:.2g} % of its largest speed; "
             "t must be in s, not ms"
         )

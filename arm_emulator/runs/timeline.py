@@ -116,7 +116,7 @@ class Timeline(NonCopyable, Generic[R]):
         end = self.tick + ticks
         self.go_to(min(end, self.newest))
         while self.tick < end:
-            self._drive(min(end - self.tick, self.every - self.tick % self.every))
+            self._advance_run(min(end - self.tick, self.every - self.tick % self.every))
             if self.tick % self.every == 0:
                 self._add_checkpoint()
 
@@ -134,9 +134,9 @@ class Timeline(NonCopyable, Generic[R]):
         after = bisect.bisect_right(self._checkpoints, tick, key=lambda checkpoint: checkpoint.tick)
         nearest = self._checkpoints[after - 1]
         if not here or not nearest.tick <= self.tick < tick:
-            self._restore(nearest.saved)
+            self._restore_run(nearest.saved)
         if tick > self.run.tick:
-            self._drive(tick - self.run.tick)
+            self._advance_run(tick - self.run.tick)
 
     def find(self, holds: Callable[[R], bool], last: int) -> int | None:
         """Go on tick by tick until something holds, and return that tick; None: it does not.
@@ -152,7 +152,7 @@ class Timeline(NonCopyable, Generic[R]):
         check_count("Timeline.find", "last", last, self.tick)
         if not callable(holds):
             raise Refusal("Timeline.find", "holds", "be a function of the run", holds)
-        self._enter()
+        self._enter_tick()
         while self.tick < last:
             self.advance(1)
             if holds(self.run):
@@ -175,14 +175,14 @@ class Timeline(NonCopyable, Generic[R]):
             raise Refusal("Timeline.change", "tick", rule, self.tick, "a fork begins here")
         if not callable(change):
             raise Refusal("Timeline.change", "change", "be a function of the run", change)
-        self._enter()
+        self._enter_tick()
         before = self.run.save()
         self._place.visitor = None
         try:
             change(self.run)
             after = _Checkpoint(self.tick, self.run.save())
         except BaseException:
-            self._restore(before)
+            self._restore_run(before)
             raise
         kept = len(self._checkpoints) - (self._checkpoints[-1].tick == self.tick)
         self._checkpoints[kept:] = [after]
@@ -191,7 +191,7 @@ class Timeline(NonCopyable, Generic[R]):
 
     def fork(self) -> Timeline[R]:
         """Return a timeline with the same past up to this tick, to go on in another way."""
-        self._enter()
+        self._enter_tick()
         forked: Timeline[R] = Timeline.__new__(Timeline)
         forked.run, forked.every, forked.parent = self.run, self.every, self
         forked.begins = forked.tick = forked.newest = self.tick
@@ -202,11 +202,11 @@ class Timeline(NonCopyable, Generic[R]):
         forked._place = self._place
         return forked
 
-    def _enter(self) -> None:
+    def _enter_tick(self) -> None:
         """Bring the run to this timeline's tick."""
         self.go_to(self.tick)
 
-    def _drive(self, ticks: int) -> None:
+    def _advance_run(self, ticks: int) -> None:
         """Advance the run; broken off, as by Ctrl-C, it may stand within a servo period."""
         self._place.visitor = None
         try:
@@ -216,7 +216,7 @@ class Timeline(NonCopyable, Generic[R]):
             self.newest = max(self.newest, self.tick)
         self._place.visitor = self
 
-    def _restore(self, saved: Any) -> None:
+    def _restore_run(self, saved: Any) -> None:
         self._place.visitor = None
         self.run.restore(saved)
         self.tick = self.run.tick

@@ -19,17 +19,17 @@ from arm_emulator.servo.servo_config import (
     load_servo_config,
 )
 from arm_emulator.servo.servo_law import SERVO, Rows, servo_law
-from arm_emulator.servo.servo_numbers import servo_numbers
-from arm_emulator.toolchain.c_header import NULL, CData, pointer
+from arm_emulator.servo.servo_numbers import make_servo_numbers
+from arm_emulator.toolchain.c_header import NULL, CData, make_pointer
 
 __all__ = ["JointServo", "Servo", "ServoConfig", "load_servo_config"]
 
 Places = tuple[CData, CData, CData]  # pointers to arrays; NULL: not given
 
-_APPLIED = COMMAND.named("applied")
-_Q_TARGET = POSITION.named("q_target")
-_V_TARGET = VELOCITY.named("v_target")
-_TAU = EFFORT.named("tau_feedforward")
+_APPLIED = COMMAND.rename("applied")
+_Q_TARGET = POSITION.rename("q_target")
+_V_TARGET = VELOCITY.rename("v_target")
+_TAU = EFFORT.rename("tau_feedforward")
 # Of the struct `servo`, beside its arrays and its watchdog.
 _SCALARS = tuple(
     name for name, of in SERVO.ffi.typeof("servo").fields if of.type.kind == "primitive"
@@ -69,16 +69,16 @@ class Servo(Synchronized):
         self._law = servo_law()
         self._N = len(config.joints)
         self._joint = self._compute_numbers(config)
-        self.state: Rows = SERVO.rows("servo_state", self._N)
-        self.arm = SERVO.new("servo", joints=self._N, joint=self._joint, state=self.state)
-        self._counts = config.counts.named("counts")
+        self.state: Rows = SERVO.make_rows("servo_state", self._N)
+        self.arm = SERVO.make_struct("servo", joints=self._N, joint=self._joint, state=self.state)
+        self._counts = config.counts.rename("counts")
         self._is_measured = self.state["known"]
         # Fixed arrays for the law's inputs and outputs: finding an array's address costs time.
         self._integer_counts = np.zeros(self._N, np.int64)
         self._rows = np.zeros((6, self._N))
-        self.places = (pointer(self._integer_counts), *map(pointer, self._rows))
+        self.places = (make_pointer(self._integer_counts), *map(make_pointer, self._rows))
         self._measured, self._movable = np.zeros((3, self._N)), np.zeros(self._N, np.int64)
-        self._reported = (*map(pointer, self._measured), pointer(self._movable))
+        self._reported = (*map(make_pointer, self._measured), make_pointer(self._movable))
         self._law.servo_reset(self.arm)
 
     def __repr__(self) -> str:
@@ -103,7 +103,7 @@ class Servo(Synchronized):
         self.config = of["config"]
         for name, rows in of["rows"].items():
             getattr(self, name)[:] = rows
-        SERVO.fill(self.arm, **of["scalars"])
+        SERVO.fill_struct(self.arm, **of["scalars"])
         SERVO.ffi.buffer(SERVO.ffi.addressof(self.arm, "watchdog"))[:] = of["watchdog"]
 
     def __copy__(self) -> Self:
@@ -111,7 +111,7 @@ class Servo(Synchronized):
 
     @staticmethod
     def _compute_numbers(config: ServoConfig) -> Rows:
-        return servo_numbers(config.joints, config.period, config.supply_voltage)
+        return make_servo_numbers(config.joints, config.period, config.supply_voltage)
 
     @property
     def restarts(self) -> int:
@@ -138,7 +138,7 @@ class Servo(Synchronized):
             pairs = zip(now.joints, config.joints, strict=True)
             places = [place for place, (before, after) in enumerate(pairs) if before is not after]
             changed = tuple(config.joints[place] for place in places)
-            self._joint[places] = servo_numbers(changed, config.period, config.supply_voltage)
+            self._joint[places] = make_servo_numbers(changed, config.period, config.supply_voltage)
         self.config = config
 
     @property
@@ -302,4 +302,4 @@ class Servo(Synchronized):
 
     def check_vector(self, values: npt.ArrayLike, bound: Number) -> Array:
         """Return `values` as N numbers within the bound."""
-        return bound.row("servo", values, self._N)
+        return bound.check_row("servo", values, self._N)

@@ -11,7 +11,7 @@ from arm_emulator.base.validation.bound import BRAKE_CLOSED
 from arm_emulator.servo.servo import Servo, ServoConfig
 from arm_emulator.servo.servo_law import SERVO, servo_law
 from arm_emulator.servo.watchdog import DOES, Watchdog, WatchdogState
-from arm_emulator.toolchain.c_header import NULL, pointer
+from arm_emulator.toolchain.c_header import NULL, make_pointer
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Target:
 class ServoArm:
     """All drives of an arm: follow the newest target, hold without one, or command nothing.
 
-    Per servo period `measure` once, `aim` when a target comes, then `command`.
+    Per servo period `take_measurement` once, `set_target` when a target comes, then `command`.
 
     A target that has a speed goes on with it until the next one comes, for one motion period at
     most: q + v (t - t_target). So the angles asked for are a line from target to target and no
@@ -65,16 +65,16 @@ class ServoArm:
         self.servo.go_back(saved["servo"])
         self._requested, self._powered = saved["asked"], saved["powered"]
 
-    def retune(self, config: ServoConfig) -> None:
+    def set_config(self, config: ServoConfig) -> None:
         """Change gains, limits and timeouts, between two ticks.
 
         Raises:
             Refusal: see `Servo.retune`. Nothing has changed then.
         """
         self.servo.retune(config)
-        self._watchdog.retune(config.hold_after, config.cut_after)
+        self._watchdog.set_times(config.hold_after, config.cut_after)
 
-    def measure(
+    def take_measurement(
         self,
         time_ns: int,
         counts: npt.ArrayLike,
@@ -98,7 +98,7 @@ class ServoArm:
         places = servo.take_measurement(counts, current, applied)
         if closed is not None:
             closed = servo.check_vector(closed, BRAKE_CLOSED).astype(np.int64)
-        brakes = NULL if closed is None else pointer(closed)
+        brakes = NULL if closed is None else make_pointer(closed)
         self._law.servo_measure(servo.arm, time_ns, *places, brakes)
 
     def movable(self, powered: bool) -> npt.NDArray[np.bool_]:
@@ -108,7 +108,7 @@ class ServoArm:
         """
         return self.servo.movable(powered)
 
-    def aim(self, target: Target) -> None:
+    def set_target(self, target: Target) -> None:
         """Take new joint targets, from this period on.
 
         Raises:
@@ -118,7 +118,7 @@ class ServoArm:
         places = servo.take_targets(target.q, target.v, target.tau)
         self._law.servo_aim(servo.arm, *places)
 
-    def command(self, powered: bool) -> Array:
+    def compute_commands(self, powered: bool) -> Array:
         """Return the commands for the period that began with the last measurement, (N,).
 
         Args:

@@ -110,14 +110,14 @@ class JointServo:
     def commanded(self) -> CommandPath:
         """Electrical model behind the motor's command."""
         emf = self.back_emf_constant
-        return CommandPath.by(self.resistance, self.inductance, emf, self.loop_bandwidth)
+        return CommandPath.compute_path(self.resistance, self.inductance, emf, self.loop_bandwidth)
 
     @property
     def loop_bandwidth(self) -> float:
         """Bandwidth of the loop in the drive [Hz]; 0 if its command is a voltage."""
         return self.torque_bandwidth or self.current_bandwidth
 
-    def largest_command(self, supply_voltage: float) -> float:
+    def compute_largest_command(self, supply_voltage: float) -> float:
         """Return the largest command [V, A, N m]: what the supply, or its limit, leaves."""
         voltage = min(supply_voltage, self.voltage_limit)
         if self.loop_bandwidth == 0.0:
@@ -191,7 +191,7 @@ class ServoConfig(SharedObject):
         going_on = bound_encoder_counts([joint.count_angle for joint in self.joints])
         words = np.array([2.0**joint.encoder_bits for joint in self.joints])
         largest = np.where(words > 1.0, words - 1.0, going_on.at_most)  # type: ignore[arg-type]
-        return Number.within(going_on.name, "", largest)
+        return Number.bound_size(going_on.name, "", largest)
 
     def count_angles(self, joint_names: Iterable[str]) -> list[float]:
         """Return the link angle of one encoder count for each of some joints [rad]."""
@@ -373,7 +373,7 @@ class CommandPath(NamedTuple):
     back_emf_constant: float
 
     @classmethod
-    def by(
+    def compute_path(
         cls,
         resistance: float,
         inductance: float,

@@ -11,18 +11,20 @@ from arm_emulator.toolchain.unit import Unit, compile_once
 
 SERVO = Header(FOLDER / "servo.h")
 
-FOLLOWS, HOLDS, CUT = map(SERVO.constant, ("SERVO_FOLLOWS", "SERVO_HOLDS", "SERVO_CUT"))
-HEARS, NO_TARGET = map(SERVO.constant, ("SERVO_HEARS", "SERVO_NO_TARGET"))
-LATE_TARGET, LATE_STATE = map(SERVO.constant, ("SERVO_LATE_TARGET", "SERVO_LATE_STATE"))
-POSITION, SPEED, CURRENT = map(SERVO.constant, ("SERVO_POSITION", "SERVO_SPEED", "SERVO_CURRENT"))
+FOLLOWS, HOLDS, CUT = map(SERVO.get_constant, ("SERVO_FOLLOWS", "SERVO_HOLDS", "SERVO_CUT"))
+HEARS, NO_TARGET = map(SERVO.get_constant, ("SERVO_HEARS", "SERVO_NO_TARGET"))
+LATE_TARGET, LATE_STATE = map(SERVO.get_constant, ("SERVO_LATE_TARGET", "SERVO_LATE_STATE"))
+POSITION, SPEED, CURRENT = map(
+    SERVO.get_constant, ("SERVO_POSITION", "SERVO_SPEED", "SERVO_CURRENT")
+)
 
 Rows = npt.NDArray[Any]  # of structs, an entry per joint
 
 
-def servo_unit() -> Unit:
+def make_servo_unit() -> Unit:
     """Return the law as what is compiled."""
     source = '#include "servo.c"\n'
     return Unit("servo", source, C_FLAGS, (FOLDER,), (SERVO,), "servo", "the servo", "servo.c")
 
 
-servo_law = compile_once(servo_unit)
+servo_law = compile_once(make_servo_unit)

@@ -16,7 +16,9 @@ _LARGEST_REMAINDER = 0.9  # of a current error over a period
 _HALVINGS = 30  # of a period, in search of one that holds
 
 
-def servo_numbers(joints: tuple[JointServo, ...], period: float, supply_voltage: float) -> Rows:
+def make_servo_numbers(
+    joints: tuple[JointServo, ...], period: float, supply_voltage: float
+) -> Rows:
     """Return the numbers of joints, (N,) rows of ``servo_joint``.
 
     Raises:
@@ -24,7 +26,7 @@ def servo_numbers(joints: tuple[JointServo, ...], period: float, supply_voltage:
             fast that a voltage held for a period cannot control the current.
     """
     rows = [_compute_row(joint, period, supply_voltage) for joint in joints]
-    return np.array(rows, SERVO.dtype("servo_joint"))
+    return np.array(rows, SERVO.get_dtype("servo_joint"))
 
 
 @lru_cache(256)  # of an arm whose numbers vary one by one
@@ -51,9 +53,9 @@ def _compute_row(joint: JointServo, period: float, supply_voltage: float) -> tup
         "wrap": 2**joint.encoder_bits if joint.encoder_bits else 0,
         "unsensed": int(joint.torque_bandwidth > 0.0),
         "current_limit": joint.current_limit,
-        "voltage_limit": joint.largest_command(supply_voltage),
+        "voltage_limit": joint.compute_largest_command(supply_voltage),
     }
-    return tuple(row[name] for name in SERVO.dtype("servo_joint").names or ())
+    return tuple(row[name] for name in SERVO.get_dtype("servo_joint").names or ())
 
 
 def _compute_time_constant(joint: JointServo) -> float:

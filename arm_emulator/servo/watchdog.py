@@ -44,17 +44,19 @@ class Watchdog:
 
     def __init__(self, hold_after: float, cut_after: float, dog: CData) -> None:
         self._dog = dog
-        self.retune(hold_after, cut_after)
+        self.set_times(hold_after, cut_after)
 
-    def retune(self, hold_after: float, cut_after: float) -> None:
+    def set_times(self, hold_after: float, cut_after: float) -> None:
         """Go on with other times.
 
         Raises:
             Refusal: as the constructor. Nothing has changed then.
         """
         numbers = list_numbers(ServoConfig)
-        hold_after = numbers["hold_after"].take("watchdog", hold_after)
-        cut_after = replace(numbers["cut_after"], above=hold_after).take("watchdog", cut_after)
+        hold_after = numbers["hold_after"].check_value("watchdog", hold_after)
+        cut_after = replace(numbers["cut_after"], above=hold_after).check_value(
+            "watchdog", cut_after
+        )
         self._hold_after, self._cut_after = hold_after, cut_after
         self._dog.hold_after = count_nanoseconds(hold_after)
         self._dog.cut_after = count_nanoseconds(cut_after)

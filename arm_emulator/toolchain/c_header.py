@@ -40,12 +40,12 @@ _INCLUDE = re.compile(r'#\s*include\s+(?:"([^"]+)"|<[^>]+>)')
 _NUMBER = re.compile(r"-?(?:0x[0-9a-fA-F]+|\d+)")
 
 
-def pointer(numbers: npt.NDArray[Any]) -> CData:
+def make_pointer(numbers: npt.NDArray[Any]) -> CData:
     """Return a pointer to the numbers of an array, which must be contiguous and outlive it."""
     return _ARRAYS.from_buffer(_NUMBERS[numbers.dtype], numbers)
 
 
-def text(characters: CData) -> str:
+def read_text(characters: CData) -> str:
     """Return a C string as text, up to its end or the array's."""
     return str(_ARRAYS.string(characters).decode(errors="replace"))
 
@@ -71,29 +71,29 @@ class Header:
     def __post_init__(self) -> None:
         path = self.path.resolve()
         if path not in _READ:
-            _READ[path] = _read(_Text(path, tuple(self.folders)))
+            _READ[path] = _read_declarations(_Text(path, tuple(self.folders)))
         ffi, functions = _READ[path]
         object.__setattr__(self, "ffi", ffi)
         object.__setattr__(self, "functions", functions)
 
-    def constant(self, name: str) -> int:
+    def get_constant(self, name: str) -> int:
         """Return the value of an enumerator, or of a macro that is a whole number."""
         return int(self.ffi.integer_const(name))
 
-    def sizeof(self, kind: str) -> int:
+    def get_size(self, kind: str) -> int:
         """Return the size of a struct [bytes]."""
         return int(self.ffi.sizeof(kind))
 
-    def new(self, kind: str, **values: Any) -> CData:
+    def make_struct(self, kind: str, **values: Any) -> CData:
         """Return a pointer to a new struct of zeros, with its size set if it begins with one.
 
         Args:
             kind: name of the struct.
-            values: of fields, see `fill`.
+            values: of fields, see `fill_struct`.
         """
-        return self.fill(self.ffi.new(f"{kind} *"), **values)
+        return self.fill_struct(self.ffi.new(f"{kind} *"), **values)
 
-    def fill(self, struct: CData, **values: Any) -> CData:
+    def fill_struct(self, struct: CData, **values: Any) -> CData:
         """Set fields of a struct, and its size if it begins with one; return it.
 
         Args:
@@ -106,23 +106,23 @@ class Header:
             struct.size = size
         for name, value in values.items():
             if isinstance(value, np.ndarray) and name in kinds:
-                value = self._place(kinds[name].type, value)
+                value = self._cast_rows(kinds[name].type, value)
             setattr(struct, name, value)
         return struct
 
-    def rows(self, kind: str, *shape: int) -> npt.NDArray[Any]:
+    def make_rows(self, kind: str, *shape: int) -> npt.NDArray[Any]:
         """Return a new array of structs, all zeros."""
-        return np.zeros(shape, self.dtype(kind))
+        return np.zeros(shape, self.get_dtype(kind))
 
-    def dtype(self, kind: str) -> np.dtype[Any]:
+    def get_dtype(self, kind: str) -> np.dtype[Any]:
         """Return a struct as a NumPy dtype."""
         return _find_dtype(self.ffi, self.ffi.typeof(kind))
 
-    def pointer(self, kind: str, rows: npt.NDArray[Any]) -> CData:
+    def make_pointer(self, kind: str, rows: npt.NDArray[Any]) -> CData:
         """Return a pointer to an array of structs; the array must be contiguous and outlive it."""
-        return self._place(self.ffi.typeof(f"{kind} *"), rows)
+        return self._cast_rows(self.ffi.typeof(f"{kind} *"), rows)
 
-    def _place(self, kind: Any, rows: npt.NDArray[Any]) -> CData:
+    def _cast_rows(self, kind: Any, rows: npt.NDArray[Any]) -> CData:
         if _find_dtype(self.ffi, kind.item) != rows.dtype:
             raise TypeError(f"{kind.cname} to an array of {rows.dtype}")
         return self.ffi.cast(kind, self.ffi.from_buffer(rows))
@@ -212,7 +212,7 @@ class _Text:
         lines = []
         text = path.read_text(encoding="utf-8")
         self._digest.update(text.encode())
-        for line in _preprocess(re.sub(r"/\*.*?\*/", " ", text, flags=re.S).splitlines()):
+        for line in _preprocess_lines(re.sub(r"/\*.*?\*/", " ", text, flags=re.S).splitlines()):
             include = _INCLUDE.match(line)
             if include is None:
                 lines.append(line)
@@ -234,7 +234,7 @@ class _Text:
 _DIGESTS: dict[Path, bytes] = {}
 
 
-def _preprocess(lines: list[str]) -> Iterator[str]:
+def _preprocess_lines(lines: list[str]) -> Iterator[str]:
     """Yield the lines that a C compiler sees, with no directives but includes and numbers."""
     defined, taken = set[str](), [True]
     for line in lines:
@@ -256,7 +256,7 @@ def _preprocess(lines: list[str]) -> Iterator[str]:
                 yield line.strip()
 
 
-def _read(text: _Text) -> tuple[FFI, tuple[str, ...]]:
+def _read_declarations(text: _Text) -> tuple[FFI, tuple[str, ...]]:
     parts = _load_stored(text)
     if parts is None:
         parts = read_parts(_build_parser(text))

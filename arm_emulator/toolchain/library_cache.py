@@ -225,7 +225,7 @@ def lock_library(library: Path, wait: bool = True) -> Iterator[None]:
         OSError: no lock can be made there.
     """
     file = library.with_suffix(".lock")
-    opened = _lock(file, wait)
+    opened = _lock_file(file, wait)
     try:
         yield
     finally:
@@ -233,7 +233,7 @@ def lock_library(library: Path, wait: bool = True) -> Iterator[None]:
         os.close(opened)
 
 
-def _lock(file: Path, wait: bool) -> int:
+def _lock_file(file: Path, wait: bool) -> int:
     while True:
         _clear_invalid_lock(file)
         flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC

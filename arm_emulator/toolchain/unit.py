@@ -99,10 +99,10 @@ def load_library(unit: Unit) -> Library:
     for folder in library_cache.list_cache_folders():
         for target in ("native", *PORTABLE_TARGETS):
             if target == "native" or _is_supported_here(target):
-                library = _load_cached(unit, target, folder, HOST, _load)
+                library = _load_cached(unit, target, folder, HOST, _load_library)
                 if library is not None:
                     return library
-    return _load_compiled(unit, "native", HOST, _load)
+    return _load_compiled(unit, "native", HOST, _load_library)
 
 
 def load_file(unit: Unit, target: str, compiler: UnitCompiler) -> bytes:
@@ -117,10 +117,10 @@ def load_file(unit: Unit, target: str, compiler: UnitCompiler) -> bytes:
         Refusal: there is neither a sound cached file nor a working compiler.
     """
     for folder in library_cache.list_cache_folders():
-        content = _load_cached(unit, target, folder, compiler, _read)
+        content = _load_cached(unit, target, folder, compiler, _read_file)
         if content is not None:
             return content
-    return _load_compiled(unit, target, compiler, _read)
+    return _load_compiled(unit, target, compiler, _read_file)
 
 
 def compile_file(unit: Unit, target: str, compiler: UnitCompiler, folder: Path | None) -> Path:
@@ -181,11 +181,11 @@ def compile_once(unit: Callable[[], Unit]) -> Callable[[], Library]:
     return cache(lambda: load_library(unit()))
 
 
-def _read(file: Path, _: Unit) -> bytes:
+def _read_file(file: Path, _: Unit) -> bytes:
     return library_cache.read_library(file)
 
 
-def _load(file: Path, unit: Unit) -> Library:
+def _load_library(file: Path, unit: Unit) -> Library:
     library_cache.read_library(file)
     try:
         return Library(file, unit.headers)
@@ -289,14 +289,14 @@ def _ensure_compiled(
             try:
                 library_cache.read_library(library)
             except (library_cache.DamagedLibrary, FileNotFoundError):
-                _compile(unit, target, library, compiler)
+                _compile_unit(unit, target, library, compiler)
         except OSError as error:
             raise Refusal(unit.where, f"cache folder {folder}", "take the compiled library",
                           f"{error.strerror} ({error.filename})") from None  # fmt: skip
         yield library
 
 
-def _compile(unit: Unit, target: str, library: Path, compiler: UnitCompiler) -> None:
+def _compile_unit(unit: Unit, target: str, library: Path, compiler: UnitCompiler) -> None:
     command = compiler.find()
     largest = library_cache.read_largest_size()
     print(

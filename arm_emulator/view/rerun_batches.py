@@ -23,7 +23,7 @@ from arm_emulator.view.rerun_blueprint import (
     TOOL_TARGET,
     TRANSFORMS,
     WORLD_AXES,
-    blueprint,
+    make_blueprint,
 )
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import rerun.blueprint as rrb
     from rerun.urdf import UrdfTree
 
-# In the order in which `RerunStream.offer` takes them.
+# In the order in which `RerunStream.show_state` takes them.
 QUANTITIES = ("q", "v", "gear_torque", "current", "applied", "q_measured")
 
 AXIS_LENGTH = 0.2  # m, of the axes of the world at the base
@@ -112,15 +112,15 @@ class RerunBatches:
                 pass
         self._start_over()
 
-    def blueprint(self, q_start: ArrayLike | None, targets: bool) -> rrb.Blueprint:
+    def make_blueprint(self, q_start: ArrayLike | None, targets: bool) -> rrb.Blueprint:
         """Return the layout of the viewer, with its eyes set for the pose q_start (N,)."""
         q = np.zeros((1, len(self._names)))
         q[0] = 0.0 if q_start is None else q_start
-        q = self._shafts.of_joints(q)
+        q = self._shafts.convert_to_joints(q)
         links = np.array([self._positions(name, q)[0] for name in self._links])
         tool = None if self._tool is None else links[self._links.index(self._tool)]
         about = self._tree.name, self._links[0], links, tool, self._further
-        return blueprint(*about, targets=targets)
+        return make_blueprint(*about, targets=targets)
 
     def send_static(self, recording: rr.RecordingStream) -> None:
         """Send the static data: geometry, names and colours of the curves."""
@@ -209,7 +209,7 @@ class RerunBatches:
         self._last_pose = int(numbers[-1])
         if not new.any():
             return
-        times, q = times[new], self._shafts.of_joints(q[new])
+        times, q = times[new], self._shafts.convert_to_joints(q[new])
         yield
         yield from self._send_transforms(recording, times, q)
         if self._tool is None:
@@ -356,7 +356,7 @@ Times = NDArray[np.int64]
 class SampleQueue:
     """Samples of `width` quantities for `joints` joints, from one writer to one reader.
 
-    `put` never blocks and only copies the arrays. When the reader has fallen behind by `capacity`
+    `append_sample` never blocks and only copies the arrays. When the reader has fallen behind by `capacity`
     samples, new ones are dropped.
 
     Attributes:
@@ -375,7 +375,7 @@ class SampleQueue:
     def __len__(self) -> int:
         return len(self._samples)
 
-    def put(self, time: int, quantities: Sequence[Array]) -> None:
+    def append_sample(self, time: int, quantities: Sequence[Array]) -> None:
         """Append one sample: its time [ns] and, per quantity, (joints,) values."""
         if len(self._samples) >= self._capacity:
             self.dropped += 1
@@ -383,7 +383,7 @@ class SampleQueue:
         self._samples.append((time, [values.copy() for values in quantities]))
         self.newest = time
 
-    def take(self, limit: int) -> tuple[Times, Array]:
+    def take_samples(self, limit: int) -> tuple[Times, Array]:
         """Remove and return up to `limit` oldest samples: times (K,) [ns], rows (K, width, N)."""
         count = min(len(self._samples), limit)
         samples = [self._samples.popleft() for _ in range(count)]

@@ -39,7 +39,7 @@ COLOURS = (
 EYE = np.array([0.72, -0.58, 0.38])
 
 
-def blueprint(
+def make_blueprint(
     robot: str,
     root: str,
     links: NDArray[np.float64],
@@ -60,27 +60,27 @@ def blueprint(
     """
     import rerun.blueprint as rrb
 
-    left: rrb.Container | rrb.View = _arm(robot, root, links)
+    left: rrb.Container | rrb.View = _make_arm_view(robot, root, links)
     if tool is not None:
-        deviation = [_plot("Target minus tool [m]", DEVIATION)] if targets else []
-        beside = rrb.Horizontal(_lay_out_tool(root, tool), *deviation)
+        deviation = [_make_plot("Target minus tool [m]", DEVIATION)] if targets else []
+        beside = rrb.Horizontal(_make_tool_view(root, tool), *deviation)
         left = rrb.Vertical(left, beside, row_shares=[2, 1])
     signals = rrb.Vertical(
         rrb.Tabs(
-            _plot("Joint angle [rad]", "signals/q"),
-            _plot("Measured by encoders [rad]", "signals/q_measured"),
-            _plot("Joint speed [rad/s]", "signals/v"),
+            _make_plot("Joint angle [rad]", "signals/q"),
+            _make_plot("Measured by encoders [rad]", "signals/q_measured"),
+            _make_plot("Joint speed [rad/s]", "signals/v"),
             *(
-                _plot(f"{name} [{unit}]" if unit else name, f"signals/{name}")
+                _make_plot(f"{name} [{unit}]" if unit else name, f"signals/{name}")
                 for name, unit in further.items()
             ),
         ),
         rrb.Tabs(
-            _plot("Motor current [A]", "signals/current"),
-            _plot("Motor command [V, A or N m]", "signals/applied"),
+            _make_plot("Motor current [A]", "signals/current"),
+            _make_plot("Motor command [V, A or N m]", "signals/applied"),
         ),
         rrb.Tabs(
-            _plot("Gear torque [N m]", "signals/gear_torque"),
+            _make_plot("Gear torque [N m]", "signals/gear_torque"),
             rrb.TextLogView(name="Events", origin=f"/{EVENTS}"),
         ),
         # A third of the height each has room for seven names, and for ticks.
@@ -95,7 +95,7 @@ def blueprint(
     )
 
 
-def _arm(robot: str, root: str, links: NDArray[np.float64]) -> rrb.Spatial3DView:
+def _make_arm_view(robot: str, root: str, links: NDArray[np.float64]) -> rrb.Spatial3DView:
     """Return the view of the whole arm."""
     import rerun as rr
     import rerun.blueprint as rrb
@@ -118,14 +118,14 @@ def _arm(robot: str, root: str, links: NDArray[np.float64]) -> rrb.Spatial3DView
             "- /signals/**",
             "- /events",
         ],
-        spatial_information=_lay_out_frame(root),
+        spatial_information=_make_frame_axes(root),
         eye_controls=rrb.EyeControls3D(position=middle + distance * EYE, look_target=middle),
         defaults=solid,
         overrides={TOOL_PATH: _show_past_path()},
     )
 
 
-def _lay_out_tool(root: str, tool: NDArray[np.float64]) -> rrb.Spatial3DView:
+def _make_tool_view(root: str, tool: NDArray[np.float64]) -> rrb.Spatial3DView:
     """Return the view of the tool, from nearby."""
     import rerun as rr
     import rerun.blueprint as rrb
@@ -135,14 +135,14 @@ def _lay_out_tool(root: str, tool: NDArray[np.float64]) -> rrb.Spatial3DView:
         name="Tool, grid 10 mm",
         origin="/tool",
         contents=["+ /tool/**"],
-        spatial_information=_lay_out_frame(root),
+        spatial_information=_make_frame_axes(root),
         eye_controls=rrb.EyeControls3D(position=tool + 0.08 * EYE, look_target=tool),
         line_grid=rrb.LineGrid3D(spacing=0.01, plane=level),
         overrides={TOOL_PATH: _show_past_path()},
     )
 
 
-def _lay_out_frame(root: str) -> rrb.SpatialInformation:
+def _make_frame_axes(root: str) -> rrb.SpatialInformation:
     import rerun as rr
     import rerun.blueprint as rrb
 
@@ -160,7 +160,7 @@ def _show_past_path() -> rrb.VisibleTimeRanges:
     )
 
 
-def _plot(name: str, path: str) -> rrb.TimeSeriesView:
+def _make_plot(name: str, path: str) -> rrb.TimeSeriesView:
     import rerun.blueprint as rrb
 
     return rrb.TimeSeriesView(

@@ -40,25 +40,25 @@ class RerunRows:
             self._columns.setdefault(".".join(column.path[:-1]), []).append(column)
         self._further = list(view["further"])
 
-    def _of(self, rows: Rows, group: str) -> NDArray[np.float64]:
-        return np.column_stack([column.of(rows) for column in self._columns[group]]).astype(
-            np.float64
-        )
+    def _stack_columns(self, rows: Rows, group: str) -> NDArray[np.float64]:
+        return np.column_stack(
+            [column.select_values(rows) for column in self._columns[group]]
+        ).astype(np.float64)
 
-    def show(self, rows: Rows) -> None:
+    def show_rows(self, rows: Rows) -> None:
         """Show rows (K,)."""
-        counts = self._of(rows, "measured.encoder_counts")
+        counts = self._stack_columns(rows, "measured.encoder_counts")
         quantities = [
-            *(self._of(rows, name) for name in ("q", "v", "gear_torque", "current")),
-            self._of(rows, "measured.applied"),
+            *(self._stack_columns(rows, name) for name in ("q", "v", "gear_torque", "current")),
+            self._stack_columns(rows, "measured.applied"),
             (counts + 0.5) * self._angle_per_count,
-            *(self._of(rows, f"measured.{name}") for name in self._further),
+            *(self._stack_columns(rows, f"measured.{name}") for name in self._further),
         ]
         times = np.rint(rows["t"] * NANOSECONDS).astype(np.int64).tolist()
         for time_ns, *sample in zip(times, *quantities, strict=True):
             self._stream.wait_for_room()
             q, v, torque, current, applied, measured, *further = sample
-            self._stream.offer(time_ns, q, v, torque, current, applied, measured, further)
+            self._stream.show_state(time_ns, q, v, torque, current, applied, measured, further)
 
     def close(self) -> str:
         """Write the waiting rows; return what is missing, or ""."""

@@ -134,8 +134,8 @@ class RerunStream:
         )
         self._batches.warm_up()
         recording = rr.RecordingStream("arm_emulator")
-        sinks = self._sinks(file, port)
-        blueprint = self._batches.blueprint(q_start, targets)
+        sinks = self._list_sinks(file, port)
+        blueprint = self._batches.make_blueprint(q_start, targets)
         try:
             recording.set_sinks(*sinks, default_blueprint=blueprint)
         except Exception as error:  # Rerun has no class for what a disk refuses
@@ -150,13 +150,13 @@ class RerunStream:
         # Only the thread keeps the recording: a daemon's frame is never torn down, and tearing down
         # a recording waits for its file without end.
         self._thread = threading.Thread(
-            target=self._run, args=(recording,), name="rerun", daemon=True
+            target=self._run_thread, args=(recording,), name="rerun", daemon=True
         )
         self._thread.start()
         # Before Rerun's own handler, which does not know this queue.
         atexit.register(self.close)
 
-    def _sinks(
+    def _list_sinks(
         self, file: str | Path | None, port: int | None
     ) -> list[rr.FileSink | rr.GrpcServerSink]:
         """Return where the recording goes."""
@@ -187,7 +187,7 @@ class RerunStream:
         """Samples that were not shown, because the queue was full or Rerun refused them."""
         return self._queue.dropped + self._lost
 
-    def offer(
+    def show_state(
         self,
         time_ns: int,
         q: Array,
@@ -214,7 +214,9 @@ class RerunStream:
         """
         if self._open:
             measured = self._not_measured if q_measured is None else q_measured
-            self._queue.put(time_ns, (q, v, gear_torque, current, applied, measured, *further))
+            self._queue.append_sample(
+                time_ns, (q, v, gear_torque, current, applied, measured, *further)
+            )
 
     def wait_for_room(self) -> None:
         """Wait until the queue has room, before a sample of a run that can wait is offered."""
@@ -233,7 +235,7 @@ class RerunStream:
         """
         if self._open:
             try:
-                x, y, z = TOOL_POSITION.row("Rerun", p_WT, 3).tolist()
+                x, y, z = TOOL_POSITION.check_row("Rerun", p_WT, 3).tolist()
                 start = max(int(time_ns), self._queue.newest)
                 self._targets.append((start, (x, y, z)))
             except (TypeError, ValueError, OverflowError):  # a Refusal among them
@@ -270,13 +272,13 @@ class RerunStream:
 
     # The background thread
 
-    def _run(self, recording: rr.RecordingStream) -> None:
+    def _run_thread(self, recording: rr.RecordingStream) -> None:
         for turn in itertools.count():
             stopping = self._stop.wait(BATCH_PERIOD)
-            self._send(recording, signals=stopping or turn % SIGNAL_BATCHES == 0)
+            self._send_samples(recording, signals=stopping or turn % SIGNAL_BATCHES == 0)
             # A flush per batch puts the data into the file, whatever becomes of this process. While
             # the file does not take it nothing more is sent: the queue is what bounds the memory.
-            while not self._flush(recording):
+            while not self._flush_recording(recording):
                 if self._broken:
                     self._give_up()
                     return
@@ -289,7 +291,7 @@ class RerunStream:
         self._finished = True
         self._done.set()
 
-    def _send(self, recording: rr.RecordingStream, *, signals: bool) -> None:
+    def _send_samples(self, recording: rr.RecordingStream, *, signals: bool) -> None:
         # Only the samples that wait now: more arrive meanwhile.
         waiting = len(self._queue)
         targets = [self._targets.popleft() for _ in range(len(self._targets))]
@@ -298,7 +300,7 @@ class RerunStream:
         while waiting and time.monotonic() < self._deadline:
             count = min(waiting, BATCH_ROWS)
             waiting -= count
-            times, rows = self._queue.take(count)
+            times, rows = self._queue.take_samples(count)
             time.sleep(BREATH)
             if len(times):
                 self._send_in_parts(self._batches.send_poses(recording, times, rows), 0)
@@ -317,7 +319,7 @@ class RerunStream:
             self._lost += samples
             self.trouble = f"Rerun refused samples: {error}"
 
-    def _flush(self, recording: rr.RecordingStream) -> bool:
+    def _flush_recording(self, recording: rr.RecordingStream) -> bool:
         begun = time.monotonic()
         try:
             recording.flush(timeout_sec=FLUSH_WAIT)
@@ -372,14 +374,14 @@ def _read_urdf(urdf_xml: str, package_dirs: Iterable[str | Path]) -> UrdfTree:
 
     folders = [Path(folder).resolve() for folder in package_dirs]
 
-    def locate(match: re.Match[str]) -> str:
+    def locate_mesh(match: re.Match[str]) -> str:
         package = match.group(1)
         at = next((folder for folder in folders if (folder / package).is_dir()), None)
         return match.group(0) if at is None else str(at / package)
 
     with tempfile.TemporaryDirectory() as folder:
         path = os.path.join(folder, "robot.urdf")
-        Path(path).write_text(re.sub(r"package://([^/\"'<>]+)", locate, urdf_xml))
+        Path(path).write_text(re.sub(r"package://([^/\"'<>]+)", locate_mesh, urdf_xml))
         try:
             return rerun.urdf.UrdfTree.from_file_path(path)
         except Exception as error:  # the binding raises bare exceptions

@@ -15,7 +15,7 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 
 
-def new_wait_set(counts: Sequence[int], context: Any) -> Any:
+def make_wait_set(counts: Sequence[int], context: Any) -> Any:
     """Return a wait set of rcl.
 
     Args:
@@ -25,7 +25,7 @@ def new_wait_set(counts: Sequence[int], context: Any) -> Any:
     return rclpy_implementation.WaitSet(*counts, context)
 
 
-def new_guard_condition(context: Any) -> Any:
+def make_guard_condition(context: Any) -> Any:
     """Return a guard condition of rcl, for the handle of a context."""
     return rclpy_implementation.GuardCondition(context)
 

@@ -45,15 +45,15 @@ def answer_requests(answer: Callable[[Any, Any, Answer], Any]) -> Iterator[None]
                 connection.transport.abort()
             await super().__aexit__(*why)
 
-    def serve(*arguments: Any, process_request: Answer, **named: Any) -> Any:
-        def process(connection: Any, request: Any) -> Any:
+    def serve_page(*arguments: Any, process_request: Answer, **named: Any) -> Any:
+        def respond_or_pass(connection: Any, request: Any) -> Any:
             return answer(connection, request, process_request)
 
         log = logging.getLogger("websockets.server")
         log.addFilter(_is_of_a_request)
-        return Serve(*arguments, process_request=process, logger=log, **named)
+        return Serve(*arguments, process_request=respond_or_pass, logger=log, **named)
 
-    server.serve = serve
+    server.serve = serve_page
     try:
         yield
     finally:

@@ -70,7 +70,7 @@ def main() -> None:
         "tick_controller *": None,
         "arm_real_time *": None,  # runs a thread
         "ethercat_segment *": segment.pointer,
-        "listeners *": LISTENERS.new("listeners"),
+        "listeners *": LISTENERS.make_struct("listeners"),
         "condition *": stops.struct.what,
         "breakpoint *": stops.struct,
     }

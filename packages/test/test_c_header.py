@@ -21,7 +21,7 @@ from arm_emulator.servo.servo_law import SERVO
 from arm_emulator.tick.c import FIRMWARE_CONTROLLER, REAL_TIME, TICK
 from arm_emulator.tick.c import FOLDER as TICK_FOLDER
 from arm_emulator.toolchain import c_header, library_cache
-from arm_emulator.toolchain.c_header import NULL, Header, Library, pointer, text
+from arm_emulator.toolchain.c_header import NULL, Header, Library, make_pointer, read_text
 from arm_emulator.toolchain.compiler_command import find_compiler
 from arm_emulator_fieldbus.drives_unit import DRIVES, DRIVES_CORE
 from arm_emulator_fieldbus.ethercat import SEGMENT
@@ -51,7 +51,7 @@ def structs_of(header: Header) -> list[str]:
     structs = []
     for kind in header.ffi.list_types()[0]:
         with contextlib.suppress(header.ffi.error):  # an opaque one has no size
-            if header.sizeof(kind) and header.ffi.typeof(kind).kind == "struct":
+            if header.get_size(kind) and header.ffi.typeof(kind).kind == "struct":
                 structs.append(kind)
     return structs
 
@@ -59,12 +59,12 @@ def structs_of(header: Header) -> list[str]:
 def numbers_of(header: Header, kind: str) -> list[tuple[str, int]]:
     """C expressions of a struct's layout, with what Python has for them."""
     struct = header.ffi.typeof(kind)
-    numbers = [(f"sizeof({kind})", header.sizeof(kind))]
+    numbers = [(f"sizeof({kind})", header.get_size(kind))]
     for name, field in struct.fields:
         numbers.append((f"offsetof({kind}, {name})", field.offset))
         numbers.append((f"sizeof((({kind}*)0)->{name})", header.ffi.sizeof(field.type)))
-    dtype = header.dtype(kind)
-    assert dtype.itemsize == header.sizeof(kind)
+    dtype = header.get_dtype(kind)
+    assert dtype.itemsize == header.get_size(kind)
     fields = dtype.fields or {}
     numbers += [(f"offsetof({kind}, {name})", fields[name][1]) for name, _ in struct.fields]
     numbers += [(f"sizeof((({kind}*)0)->{name})", fields[name][0].itemsize) for name in fields]
@@ -118,9 +118,9 @@ int abs(int x);
 #endif
 """))  # fmt: skip
     assert header.functions == ("abs",)
-    assert [header.constant(n) for n in ("OUTER_MOST", "OUTER_ONE")] == [16, 8]
-    assert header.dtype("outer")["one"]["b"] == np.dtype(("f8", (2,)))
-    assert header.dtype("outer").itemsize == 40
+    assert [header.get_constant(n) for n in ("OUTER_MOST", "OUTER_ONE")] == [16, 8]
+    assert header.get_dtype("outer")["one"]["b"] == np.dtype(("f8", (2,)))
+    assert header.get_dtype("outer").itemsize == 40
     inner = Header(tmp_path / "inner.h")
     assert inner.ffi.typeof("inner") is header.ffi.typeof("inner"), "one type for both"
     assert Library("libc.so.6", (header,)).abs(-3) == 3
@@ -130,22 +130,22 @@ int abs(int x);
 
 def test_an_array_of_a_different_type_is_no_place_for_a_struct(tmp_path: Path) -> None:
     """Wrong types, orders and strides are errors, where an address would be taken for good."""
-    rows = ARM.rows("arm_joint_command", 3)
-    for wrong in (np.zeros(3), np.zeros(3, ARM.dtype("arm_joint_measurement"))):
+    rows = ARM.make_rows("arm_joint_command", 3)
+    for wrong in (np.zeros(3), np.zeros(3, ARM.get_dtype("arm_joint_measurement"))):
         with pytest.raises(TypeError):
-            ARM.new("arm_command", joint=wrong)
+            ARM.make_struct("arm_command", joint=wrong)
     with pytest.raises((ValueError, BufferError)):
-        ARM.new("arm_command", joint=rows[::2])
+        ARM.make_struct("arm_command", joint=rows[::2])
     with pytest.raises((ValueError, BufferError)):
-        pointer(np.zeros((3, 2)).T)
+        make_pointer(np.zeros((3, 2)).T)
     with pytest.raises(AttributeError):
-        ARM.new("arm_command", joints=rows)
-    command = ARM.new("arm_command", joint=rows, tick=2**40)
+        ARM.make_struct("arm_command", joints=rows)
+    command = ARM.make_struct("arm_command", joint=rows, tick=2**40)
     rows["value"][1] = 2.5
     assert (command.size, command.tick, command.joint[1].value) == (32, 2**40, 2.5)
     assert command.further == NULL
-    why = ARM.new("arm_refusal", quantity=b"q")
-    assert text(why.quantity) == "q"
+    why = ARM.make_struct("arm_refusal", quantity=b"q")
+    assert read_text(why.quantity) == "q"
 
 
 def test_functions_outlive_the_library_that_gave_them_and_machines_leave_nothing() -> None:
@@ -210,5 +210,5 @@ def test_another_text_is_another_header(tmp_path: Path, monkeypatch: pytest.Monk
         for cache_table in (c_header._READ, c_header._DIGESTS, c_header._PARSERS):
             for name in ("inner.h", "outer.h"):
                 cache_table.pop(tmp_path / name, None)
-        sizes.append(Header(outer).sizeof("outer"))
+        sizes.append(Header(outer).get_size("outer"))
     assert sizes == [4, 8, 12]

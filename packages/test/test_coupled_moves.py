@@ -271,7 +271,7 @@ def test_the_picture_shows_the_joints(machine: Machine, tmp_path: Path) -> None:
     q = scene.start + np.linspace(0.0, 0.3, 30)[:, None]
     none = np.full(len(scene.joints), np.nan)
     for k, row in enumerate(q):
-        stream.offer(k * NS // 50, row, *[none] * (len(QUANTITIES) - 1))
+        stream.show_state(k * NS // 50, row, *[none] * (len(QUANTITIES) - 1))
     assert stream.close() and stream.trouble is None
     strips = read(tmp_path / "a.rrd", "/tool/path", "LineStrips3D:strips")[1]
     expected = [machine.tool(row).translation for row in q]
@@ -327,4 +327,4 @@ def test_limits_that_couplings_cannot_keep_are_refused(multiplier: float, offset
     shafts = Shafts(text, ("j1", "j2", "j3"), "tool0")
     ends = [read_limits(ET.fromstring(text)).get(name, (-9.0, 9.0)) for name in shafts.joints]
     with pytest.raises(Refusal, match=r"joint j[34] must have limits that its couplings can keep"):
-        shafts.positions(*np.array(ends).T)
+        shafts.bound_positions(*np.array(ends).T)

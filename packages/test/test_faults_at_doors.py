@@ -261,11 +261,11 @@ class ByLibrary(OfRun):
         return TargetTable(np.zeros(1), np.array([[silent, 0.0, volt]]))
 
     def _give(self, volt: float, tick: int | None, name: str) -> None:
-        self.loop.aim(self._table(volt))
+        self.loop.set_table(self._table(volt))
         self.loop.advance(1)
 
     def wait(self) -> None:
-        self.loop.aim(self._table(0.0, silent=1.0))
+        self.loop.set_table(self._table(0.0, silent=1.0))
         self.loop.advance(1)
 
 

@@ -21,7 +21,7 @@ from arm_emulator.machine.plant.inputs import list_further_inputs, list_input_un
 from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator.machine.scene.known_parts import DECORATORS, MOTORS
 from arm_emulator.machine.session.real_time import open_real_time_session
-from arm_emulator.toolchain.c_header import text
+from arm_emulator.toolchain.c_header import read_text
 from arm_emulator_fieldbus.converter import COMMANDED, RegisterConverter, list_blocks
 from arm_emulator_fleet import Fleet
 from arm_emulator_fmu.variables import list_variables
@@ -72,24 +72,24 @@ def test_every_declared_input_is_complete() -> None:
             assert declared_input.about and declared_input.unit in ("V", "N m", "A"), declared_input
             assert (declared_input.name == "command") == (k == 0), declared_input
             if k == 0:
-                ARM.constant(declared_input.mode)
+                ARM.get_constant(declared_input.mode)
             else:
                 assert declared_input.applied in KNOWN, declared_input
 
 
 def test_the_core_describes_them(scene: Scene) -> None:
     plant = Plant(scene)
-    described = ARM.new("arm_description")
+    described = ARM.make_struct("arm_description")
     plant.core.arm_describe(described)
     assert described.inputs == 1 and list_further_inputs(scene) == ("command_d",)
     assert list_input_units(scene, "command_d") == ("V", "V", "V")
     descriptions = []
     for j, mode in enumerate(list_modes(scene)):
-        reading, joint = ARM.new("arm_reading"), ARM.new("arm_joint_description")
+        reading, joint = ARM.make_struct("arm_reading"), ARM.make_struct("arm_joint_description")
         assert plant.core.arm_describe_input(0, j, reading) == 0
         plant.core.arm_describe_joint(j, joint)
         assert joint.modes == mode
-        descriptions.append((reading.present, text(reading.name), text(reading.unit)))
+        descriptions.append((reading.present, read_text(reading.name), read_text(reading.unit)))
     assert descriptions == [(1, "command_d", "V"), (0, "command_d", ""), (0, "command_d", "")]
     assert plant.core.arm_describe_input(1, 0, reading) and plant.core.arm_describe_input(
         0, 3, reading
@@ -248,14 +248,14 @@ def test_a_plant_refuses_alike(scene: Scene) -> None:
             plant.exchange(np.zeros(3), **arguments)
         with pytest.raises(Refusal, match=words):
             Fleet(scene, 2).exchange(np.zeros(3), **arguments)
-    entries = ARM.rows("arm_joint_command", 3)
+    entries = ARM.make_rows("arm_joint_command", 3)
     entries["mode"], entries["enable"] = list_modes(scene), 1
     rows = np.array([[0.0, 5.0, 0.0]])
-    command = ARM.new("arm_command", tick=-1, joint=entries, further=rows)
+    command = ARM.make_struct("arm_command", tick=-1, joint=entries, further=rows)
     assert plant.core.arm_exchange(plant.machine, command, plant.measurement) == 1
-    why = ARM.new("arm_refusal")
+    why = ARM.make_struct("arm_refusal")
     plant.core.arm_why(plant.machine, why)
-    assert (why.joint, text(why.quantity), why.got) == (1, "command_d", 5.0)
+    assert (why.joint, read_text(why.quantity), why.got) == (1, "command_d", 5.0)
     assert plant.save() == before
 
 

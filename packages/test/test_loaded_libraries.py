@@ -18,8 +18,8 @@ from arm_emulator.machine.plant.compiler import (
 from arm_emulator.machine.plant.formula_rows import build_formula_unit
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.machine.session.record_ring import build_record_ring_unit
-from arm_emulator.runs.servo_step import servo_step_unit
-from arm_emulator.servo.servo_law import servo_unit
+from arm_emulator.runs.servo_step import make_servo_step_unit
+from arm_emulator.servo.servo_law import make_servo_unit
 from arm_emulator.tick.c import tick_unit
 from arm_emulator.toolchain.compiler_command import find_compiler
 from arm_emulator.toolchain.unit import Unit
@@ -81,9 +81,9 @@ def test_our_libraries_call_their_own_functions(tmp_path: Path) -> None:
         build_equations_unit(scene),
         build_fleet_unit(scene),
         drives_unit("drives"),
-        servo_unit(),
+        make_servo_unit(),
     )
-    units += servo_step_unit(), tick_unit(), build_real_time_unit(), build_record_ring_unit()
+    units += make_servo_step_unit(), tick_unit(), build_real_time_unit(), build_record_ring_unit()
     units += (
         build_formula_unit(),
         judges_unit(),

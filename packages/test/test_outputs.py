@@ -34,7 +34,7 @@ from arm_emulator.machine.scene.known_parts import MOTORS, PARTS
 from arm_emulator.machine.session.real_time import open_real_time_session
 from arm_emulator.ros.messages.fixed_layout import FixedLayout
 from arm_emulator.ros.messages.middleware import Outgoing, get_middleware
-from arm_emulator.toolchain.c_header import NULL, text
+from arm_emulator.toolchain.c_header import NULL, read_text
 from arm_emulator_fieldbus.converter import RegisterConverter, list_blocks
 from arm_emulator_fieldbus.declared import find_index, find_places
 from arm_emulator_fieldbus.drives import Drives
@@ -202,12 +202,15 @@ def test_c_describes_its_readings(scene: Scene, plant: Plant) -> None:
     rows = list_readings(scene)
     for row in range(len(rows) + 1):
         for joint in range(3):
-            reading = ARM.new("arm_reading")
+            reading = ARM.make_struct("arm_reading")
             result = plant.core.arm_describe_reading(row, joint, reading)
             assert result == (row == len(rows) or joint == 2), "refused"
             if result == 0:
                 expected = rows[row].choose_unit(scene.chain.joints[joint].kind)
-                assert (text(reading.name), text(reading.unit)) == (rows[row].name, expected)
+                assert (read_text(reading.name), read_text(reading.unit)) == (
+                    rows[row].name,
+                    expected,
+                )
                 is_rigid = rows[row].name == f"bearing_{(*ALONG.values(),)[joint]}"
                 assert reading.present == (not is_rigid)
 

@@ -76,7 +76,7 @@ def test_a_class_that_comes_too_late_is_refused() -> None:
 def test_a_registry_has_each_class_by_its_name() -> None:
     registry = Registry[type]("thing", "arm_emulator.machine.schemes", lambda kind: kind.__name__)
     names = {registry.register(type(name, (), {})) for name in "ba"}
-    assert [*registry.kinds()] == ["a", "b"] and set(registry.kinds().values()) == names
+    assert [*registry.list_kinds()] == ["a", "b"] and set(registry.list_kinds().values()) == names
 
 
 def test_the_registries_have_their_own_names() -> None:

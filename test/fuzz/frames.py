@@ -15,7 +15,7 @@ from arm_emulator import load_gains, load_scene
 from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.core import BOUNDARY
 from arm_emulator.servo.c import FOLDER
-from arm_emulator.toolchain.c_header import Header, Library, text
+from arm_emulator.toolchain.c_header import Header, Library, read_text
 from arm_emulator.toolchain.unit import load_library as compiled
 from arm_emulator_fieldbus.drives_unit import DRIVES_CORE, drives_unit
 from arm_emulator_fieldbus.ethercat import SEGMENT, Segment
@@ -43,7 +43,7 @@ def case(seed: int, number: int, frames: int = FRAMES) -> dict[str, int]:
     sound = calls.ethercat_fuzz(
         segment.pointer, segment.drives.pointer, seed * 1_000_003 + number, frames, why
     )
-    assert sound >= 0, f"batch {number} of seed {seed}: {text(why)}"
+    assert sound >= 0, f"batch {number} of seed {seed}: {read_text(why)}"
     figures = segment.figures
     thrown = figures.malformed + figures.foreign + figures.circulating
     assert figures.frames == sound and thrown > frames // 20, "hardly one frame was malformed"

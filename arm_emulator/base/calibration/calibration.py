@@ -14,7 +14,7 @@ from arm_emulator.base.calibration.ur_files import read_ur_deltas, read_ur_kinem
 from arm_emulator.base.io.text_file import explain_missing_file
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf.frames import Frame, rpy_of
+from arm_emulator.base.urdf.frames import Frame, compute_rpy
 from arm_emulator.base.urdf.joint_tree import (
     MOVING_KINDS,
     UrdfJoint,
@@ -104,7 +104,7 @@ def displace_joints(robot: ET.Element, frames: Mapping[str, Frame], where: str) 
         placement = joint.placement @ frames[joint.name]
         for old in element.findall("origin"):
             element.remove(old)
-        numbers = placement.p, rpy_of(placement.R)
+        numbers = placement.p, compute_rpy(placement.R)
         xyz, rpy = (" ".join(map(repr, map(float, row))) for row in numbers)
         ET.SubElement(element, "origin", xyz=xyz, rpy=rpy)
     return displaced
@@ -145,8 +145,8 @@ def read_calibration(root: Section, robot: ET.Element, tool: str, folder: Path) 
         Refusal: a key, a value or a file that is not taken, or no such joint or link.
     """
     base, flange = (_read_link(root, key, robot) for key in ("base", "flange"))
-    if root.has("nominal") and not root.has("file"):
-        raise root.refusal("nominal", "come with a key file", "alone")
+    if root.has_key("nominal") and not root.has_key("file"):
+        raise root.make_refusal("nominal", "come with a key file", "alone")
     file, nominal = (_find_file(root, key, folder) for key in ("file", "nominal"))
     deviations = dict[str, Deviation]()
     if file is not None:
@@ -154,22 +154,22 @@ def read_calibration(root: Section, robot: ET.Element, tool: str, folder: Path) 
         of_file = _read_file(file, nominal, base, flange, robot, tool)
         deviations |= of_file.deviations
         base, flange = base or of_file.base, flange or of_file.flange
-    section = root.section("joints")
+    section = root.get_section("joints")
     joints = _read_joints_by_name(robot, root.where)
-    for name in () if section is None else section.keys():
+    for name in () if section is None else section.list_keys():
         assert section is not None
         if name not in joints:
-            raise section.refusal(name, "be a joint of the URDF", name, ", ".join(joints))
-        below = section.required_section(name)
-        numbers = below.numbers(Deviation)
+            raise section.make_refusal(name, "be a joint of the URDF", name, ", ".join(joints))
+        below = section.require_section(name)
+        numbers = below.read_numbers(Deviation)
         if numbers["encoder_zero"] and joints[name].kind not in MOVING_KINDS:
             rule = "belong to a joint that moves"
-            raise below.refusal("encoder_zero", rule, joints[name].kind)
+            raise below.make_refusal("encoder_zero", rule, joints[name].kind)
         of_joint = deviations.get(name, Deviation())
         deviations[name] = replace(
-            of_joint, **{key: value for key, value in numbers.items() if below.has(key)}
+            of_joint, **{key: value for key, value in numbers.items() if below.has_key(key)}
         )
-    root.finish()
+    root.refuse_unread_keys()
     return Calibration(deviations, base, flange, root.where)
 
 
@@ -185,30 +185,30 @@ def _read_joints_by_name(robot: ET.Element, where: str) -> dict[str, UrdfJoint]:
 
 def _read_link(root: Section, key: str, robot: ET.Element) -> str:
     """Return the name of a link, empty if the key is absent."""
-    if not root.has(key):
+    if not root.has_key(key):
         return ""
-    name, links = root.text(key), list_element_names(robot, "link", root.where)
+    name, links = root.read_text(key), list_element_names(robot, "link", root.where)
     if name not in links:
-        raise root.refusal(key, "be a link of the URDF", name, ", ".join(links))
+        raise root.make_refusal(key, "be a link of the URDF", name, ", ".join(links))
     return name
 
 
 def _find_file(root: Section, key: str, folder: Path) -> Path | None:
     """Return the file that a key names, None if the key is absent."""
-    if not root.has(key):
+    if not root.has_key(key):
         return None
-    name = root.text(key)
+    name = root.read_text(key)
     file = folder / name
     reason = explain_missing_file(file)
     if reason is not None:
-        raise root.refusal(key, "be a file", f"{name} ({reason})")
+        raise root.make_refusal(key, "be a file", f"{name} ({reason})")
     return file
 
 
 def _check_nominal(root: Section, file: Path, nominal: Path | None) -> None:
     if (file.suffix == KUKA) != (nominal is not None):
         rule = f"be the machine data of the type, beside a file {KUKA} of the machine"
-        raise root.refusal("nominal", rule, nominal.name if nominal else "nothing")
+        raise root.make_refusal("nominal", rule, nominal.name if nominal else "nothing")
 
 
 def _read_file(
@@ -220,10 +220,10 @@ def _read_file(
     root = None
     if file.suffix in (".yaml", ".yml"):
         root = Section(read_yaml(file), file.name)
-        if not root.has("kinematics"):
+        if not root.has_key("kinematics"):
             for key in ("file", "nominal"):
-                if root.has(key):
-                    raise root.refusal(key, "stand in the scene", repr(root.text(key)))
+                if root.has_key(key):
+                    raise root.make_refusal(key, "stand in the scene", repr(root.read_text(key)))
             return read_calibration(root, robot, tool, file.parent)
     path = find_path(robot, file.name, base, flange, tool)
     if root is not None:
@@ -234,5 +234,5 @@ def _read_file(
         deviations = read_ur_deltas(file, path)
     for name, deviation in deviations.items():
         for key, number in list_numbers(Deviation).items():
-            number.take(file.name, getattr(deviation, key), f"{key} of joint {name}")
+            number.check_value(file.name, getattr(deviation, key), f"{key} of joint {name}")
     return Calibration(deviations, base, flange, file.name)

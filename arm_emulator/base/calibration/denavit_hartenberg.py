@@ -15,8 +15,8 @@ import numpy as np
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.calibration.deviation import Deviation
 from arm_emulator.base.calibration.joint_path import JointPath
-from arm_emulator.base.products import dot, measure_length
-from arm_emulator.base.urdf.frames import EYE, Frame, turn
+from arm_emulator.base.products import measure_length, multiply_scalar
+from arm_emulator.base.urdf.frames import EYE, Frame, compute_rotation
 
 PARALLEL = 1e-4  # rad: URDFs write right angles with 4 digits
 
@@ -25,7 +25,7 @@ def find_dh_frames(path: JointPath) -> list[Frame]:
     """Return the frames 0 to n of an arm of n moving joints at 0, seen from its root link."""
     axes, flange = path.axes, path.flange
     p, z = axes[0]
-    frames = [_build(_find_foot(path.base.p, p, z), path.base.R[:, 0], z, path.base.R[:, 2])]
+    frames = [_build_frame(_find_foot(path.base.p, p, z), path.base.R[:, 0], z, path.base.R[:, 2])]
     for place, (p, z) in enumerate([*axes[1:], (flange.p, flange.R[:, 2])]):
         before, ends = frames[-1], place + 1 == len(axes)
         x_before, z_before = before.R[:, 0], before.R[:, 2]
@@ -33,15 +33,15 @@ def find_dh_frames(path: JointPath) -> list[Frame]:
         if (sine := measure_length(across)) > PARALLEL:
             x = across / sine
             # On the axis, where the common normal of both meets it.
-            origin = p + z * (dot(np.cross(p - before.p, z_before), across) / sine**2)
+            origin = p + z * (multiply_scalar(np.cross(p - before.p, z_before), across) / sine**2)
         else:
             origin = flange.p if ends else _find_foot(before.p, p, z)
             x = origin - _find_foot(origin, before.p, z_before)
             x = x_before if (a := measure_length(x)) < 1e-9 else x / a
-        nearest = dot(x, x_before)
+        nearest = multiply_scalar(x, x_before)
         if abs(nearest) < 1e-6:
-            nearest = dot(x, np.cross(z_before, x_before))
-        frames.append(_build(origin, x if nearest >= 0.0 else -x, z, x_before))
+            nearest = multiply_scalar(x, np.cross(z_before, x_before))
+        frames.append(_build_frame(origin, x if nearest >= 0.0 else -x, z, x_before))
     return frames
 
 
@@ -57,24 +57,24 @@ def displace_along_axes(
         child: frame of the joint's child link.
     """
     there = frame.inverse @ child
-    link = Frame() if before is None else screw(0, before.delta_alpha, before.delta_a)
-    return there.inverse @ link @ screw(2, deviation.delta_theta, deviation.delta_d) @ there
+    link = Frame() if before is None else compute_screw(0, before.delta_alpha, before.delta_a)
+    return there.inverse @ link @ compute_screw(2, deviation.delta_theta, deviation.delta_d) @ there
 
 
-def screw(axis: int, angle: float, distance: float) -> Frame:
+def compute_screw(axis: int, angle: float, distance: float) -> Frame:
     """Return a turn about an axis of a frame [rad], with a shift along it [m]."""
-    return Frame(turn(axis, angle) if angle else EYE, np.eye(3)[axis] * distance)
+    return Frame(compute_rotation(axis, angle) if angle else EYE, np.eye(3)[axis] * distance)
 
 
 def _find_foot(point: Array, p: Array, z: Array) -> Array:
     """Return the point of an axis that is nearest to a point."""
-    return np.asarray(p + z * dot(point - p, z))
+    return np.asarray(p + z * multiply_scalar(point - p, z))
 
 
-def _build(origin: Array, x: Array, z: Array, otherwise: Array) -> Frame:
+def _build_frame(origin: Array, x: Array, z: Array, otherwise: Array) -> Frame:
     """Return the frame with that z, and x as near as possible to the one given."""
-    across = x - dot(x, z) * z
+    across = x - multiply_scalar(x, z) * z
     if measure_length(across) < 1e-6:
-        across = otherwise - dot(otherwise, z) * z
+        across = otherwise - multiply_scalar(otherwise, z) * z
     across = across / measure_length(across)
     return Frame(np.column_stack([across, np.cross(z, across), z]), np.asarray(origin))

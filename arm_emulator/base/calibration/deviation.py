@@ -4,7 +4,7 @@ from dataclasses import dataclass, fields
 from functools import partial
 from typing import Self
 
-from arm_emulator.base.urdf.frames import Frame, frame_of, rpy_of
+from arm_emulator.base.urdf.frames import Frame, compute_rpy, make_frame
 from arm_emulator.base.validation.number import number
 
 # Machines differ from their descriptions by millimetres and by fractions of a degree.
@@ -38,16 +38,16 @@ class Deviation:
     )
 
     @classmethod
-    def of_frame(cls, frame: Frame) -> Self:
+    def from_frame(cls, frame: Frame) -> Self:
         """Return the deviation that displaces a joint's frame to `frame`, seen from it."""
         x, y, z = map(float, frame.p)
-        roll, pitch, yaw = map(float, rpy_of(frame.R))
+        roll, pitch, yaw = map(float, compute_rpy(frame.R))
         return cls(x=x, y=y, z=z, roll=roll, pitch=pitch, yaw=yaw)
 
     @property
     def displaced(self) -> Frame:
         """Frame to which x to yaw displace that of the joint."""
-        return frame_of((self.x, self.y, self.z), (self.roll, self.pitch, self.yaw))
+        return make_frame((self.x, self.y, self.z), (self.roll, self.pitch, self.yaw))
 
     @property
     def has_dh_numbers(self) -> bool:

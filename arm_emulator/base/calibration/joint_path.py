@@ -90,18 +90,18 @@ def find_path(robot: ET.Element, where: str, base: str, flange: str, tool: str) 
         if link not in links:
             rule = "be a link of the URDF"
             raise Refusal(where, f"calibration.{key}", rule, link, ", ".join(links))
-    path = _collect(above, flange)
+    path = _collect_joints(above, flange)
     if not any(joint.kind in MOVING_KINDS for joint in path):
         raise Refusal(where, "calibration.flange", "be moved by a joint", flange)
     frame = Frame()
-    for joint in _collect(above, base):
+    for joint in _collect_joints(above, base):
         if joint.kind in MOVING_KINDS:
             raise Refusal(where, "calibration.base", "be fixed to the root link", base)
         frame = frame @ joint.placement
     return JointPath(tuple(path), frame, where)
 
 
-def _collect(above: Mapping[str, UrdfJoint], link: str) -> list[UrdfJoint]:
+def _collect_joints(above: Mapping[str, UrdfJoint], link: str) -> list[UrdfJoint]:
     """Return the joints from the root link to a link."""
     path: list[UrdfJoint] = []
     while link in above:

@@ -19,7 +19,7 @@ from arm_emulator.base.validation.number import Number
 
 MAX_BYTES = 1 << 20
 _MARK = re.compile(r"^\s*(?:DECL\s+)?(?:REAL\s+)?\$MAMES\[(\d+)\]\s*=\s*([^\s;]+)", re.I | re.M)
-_POSITION = Number.within("$MAMES", "deg or mm", 1e5)
+_POSITION = Number.bound_size("$MAMES", "deg or mm", 1e5)
 
 
 def read_kuka_zeros(file: Path, nominal: Path, path: JointPath) -> Mapping[str, Deviation]:
@@ -55,7 +55,7 @@ def _read_marks(file: Path) -> Mapping[int, float]:
             value = float(word)
         except ValueError:
             raise Refusal(file.name, f"$MAMES[{number}]", "be a number", repr(word)) from None
-        marks[int(number)] = _POSITION.take(file.name, value, f"$MAMES[{number}]")
+        marks[int(number)] = _POSITION.check_value(file.name, value, f"$MAMES[{number}]")
     if not marks:
         raise Refusal(file.name, "file", "have lines $MAMES[1]=... of axes", "none")
     return marks

@@ -13,9 +13,9 @@ import numpy as np
 
 from arm_emulator.base.calibration.deviation import Deviation
 from arm_emulator.base.calibration.joint_path import JointPath, build_axis_frame
-from arm_emulator.base.products import apply_matrix, dot, multiply_matrices
+from arm_emulator.base.products import apply_matrix, multiply_matrices, multiply_scalar
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf.frames import Frame, clean, turn
+from arm_emulator.base.urdf.frames import Frame, compute_rotation, round_rotation
 from arm_emulator.base.urdf.joint_tree import MOVING_KINDS
 
 LARGEST_MISMATCH = 1e-9  # m and rad, of a flange that no fixed joint carries
@@ -42,9 +42,9 @@ def place_axes(path: JointPath, axes: Sequence[Frame], flange: Frame) -> Mapping
         axis = left.pop(0)
         z, own = axis.R[:, 2], build_axis_frame(joint.axis)
         Q = multiply_matrices(axis.R.T, nominal.R, own)
-        turned = turn(2, math.atan2(Q[1, 0] - Q[0, 1], Q[0, 0] + Q[1, 1]))
-        R = clean(multiply_matrices(axis.R, turned, own.T))
-        link = Frame(R, axis.p + z * dot(nominal.p - axis.p, z))
+        turned = compute_rotation(2, math.atan2(Q[1, 0] - Q[0, 1], Q[0, 0] + Q[1, 1]))
+        R = round_rotation(multiply_matrices(axis.R, turned, own.T))
+        link = Frame(R, axis.p + z * multiply_scalar(nominal.p - axis.p, z))
         placed[joint.name] = nominal.inverse @ link
     if behind:
         rest = Frame()
@@ -54,7 +54,7 @@ def place_axes(path: JointPath, axes: Sequence[Frame], flange: Frame) -> Mapping
     else:
         _check_axis(path, axes[-1], flange)
         placed[path.joints[-1].name] = placed[path.joints[-1].name] @ link.inverse @ flange
-    return {name: Deviation.of_frame(frame) for name, frame in placed.items()}
+    return {name: Deviation.from_frame(frame) for name, frame in placed.items()}
 
 
 def _check_axis(path: JointPath, axis: Frame, flange: Frame) -> None:

@@ -12,13 +12,13 @@ from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
 
-from arm_emulator.base.calibration.denavit_hartenberg import find_dh_frames, screw
+from arm_emulator.base.calibration.denavit_hartenberg import compute_screw, find_dh_frames
 from arm_emulator.base.calibration.deviation import Deviation
 from arm_emulator.base.calibration.joint_path import JointPath
 from arm_emulator.base.calibration.placed_axes import place_axes
 from arm_emulator.base.io.text_file import read_text
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf.frames import Frame, frame_of
+from arm_emulator.base.urdf.frames import Frame, make_frame
 from arm_emulator.base.validation.number import Number
 from arm_emulator.base.validation.section import Section
 
@@ -27,9 +27,9 @@ DELTAS = ("delta_theta", "delta_a", "delta_d", "delta_alpha")
 STATUS = "calibration_status"  # 2: linearised, the deltas hold; 0 and 1: they do not yet
 LINEARISED = 2
 MAX_BYTES = 1 << 20
-_PLACE = [Number.within(name, "m", 1e5) for name in "xyz"]
-_TURN = [Number.within(name, "rad", 10.0) for name in ("roll", "pitch", "yaw")]
-_DELTA = Number.within("deltas", "m or rad", 1e5)  # common normals of almost parallel axes
+_PLACE = [Number.bound_size(name, "m", 1e5) for name in "xyz"]
+_TURN = [Number.bound_size(name, "rad", 10.0) for name in ("roll", "pitch", "yaw")]
+_DELTA = Number.bound_size("deltas", "m or rad", 1e5)  # common normals of almost parallel axes
 
 
 def read_ur_kinematics(root: Section, path: JointPath) -> Mapping[str, Deviation]:
@@ -38,16 +38,18 @@ def read_ur_kinematics(root: Section, path: JointPath) -> Mapping[str, Deviation
     Raises:
         Refusal: another form, or an arm of other than six joints.
     """
-    section = root.required_section("kinematics")
+    section = root.require_section("kinematics")
     _check_joints(path, root.where)
     frame, axes = path.base, []
     for link in LINKS:
-        link_section = section.required_section(link)
-        frame = frame @ frame_of(map(link_section.number, _PLACE), map(link_section.number, _TURN))
+        link_section = section.require_section(link)
+        frame = frame @ make_frame(
+            map(link_section.read_number, _PLACE), map(link_section.read_number, _TURN)
+        )
         axes.append(frame)
-    if section.has("hash"):
-        section.text("hash")  # by which the driver compares it with the arm
-    root.finish()
+    if section.has_key("hash"):
+        section.read_text("hash")  # by which the driver compares it with the arm
+    root.refuse_unread_keys()
     return place_axes(path, axes, frame)
 
 
@@ -65,7 +67,9 @@ def read_ur_deltas(file: Path, path: JointPath) -> Mapping[str, Deviation]:
     for k, (here, after) in enumerate(pairwise(frames)):
         axes.append(frame)
         theta, a, d, alpha = (rows[name][k] for name in DELTAS)
-        frame = frame @ screw(2, theta, d) @ here.inverse @ after @ screw(0, alpha, a)
+        frame = (
+            frame @ compute_screw(2, theta, d) @ here.inverse @ after @ compute_screw(0, alpha, a)
+        )
     return place_axes(path, axes, frame @ flange)
 
 
@@ -97,7 +101,7 @@ def _read_row(where: str, name: str, text: str) -> list[float]:
         row = [float(word) for word in words]
     except ValueError:
         raise Refusal(where, name, "be numbers", text) from None
-    return [_DELTA.take(where, value, name) for value in row]
+    return [_DELTA.check_value(where, value, name) for value in row]
 
 
 def _check_joints(path: JointPath, where: str) -> None:

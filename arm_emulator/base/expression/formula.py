@@ -5,7 +5,7 @@ From loose to tight: ``implies`` (``->``), ``or``, ``and``, ``until[a, b]``, the
 evaluates them for conditions, breakpoints and campaigns alike.
 
 Formulas nest at most `DEEPEST` levels, as a text has parentheses and prefixes. Arithmetic may be
-deeper, since each term of a sum is a level: it is walked by `fold`, without recursion.
+deeper, since each term of a sum is a level: it is walked by `fold_expression`, without recursion.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ _Any = Expression | Formula
 _T = TypeVar("_T")
 
 
-def fold(expression: Expression, visit: Callable[[Expression, Sequence[_T]], _T]) -> _T:
+def fold_expression(expression: Expression, visit: Callable[[Expression, Sequence[_T]], _T]) -> _T:
     """Return what a function makes of arithmetic, whatever its depth.
 
     Args:
@@ -122,8 +122,8 @@ def parse_formula(text: str, where: str, quantity: str) -> Formula:
     """
     parser = _Parser(text, where, quantity)
     parsed = parser.parse_implication(0)
-    parser.finish()
-    return parser.formula(parsed)
+    parser.finish_text()
+    return parser.require_formula(parsed)
 
 
 def parse_expression(text: str, where: str, quantity: str) -> Expression:
@@ -134,29 +134,29 @@ def parse_expression(text: str, where: str, quantity: str) -> Expression:
     """
     parser = _Parser(text, where, quantity)
     parsed = parser.parse_implication(0)
-    parser.finish()
-    return parser.expression(parsed)
+    parser.finish_text()
+    return parser.require_expression(parsed)
 
 
 class _Parser:
     def __init__(self, text: str, where: str, quantity: str) -> None:
         self._where, self._quantity = where, quantity
         if len(text) > LONGEST:
-            raise self._refusal(f"have at most {LONGEST} characters", len(text))
-        self._tokens = list(self._split(text))
+            raise self._make_refusal(f"have at most {LONGEST} characters", len(text))
+        self._tokens = list(self._split_text(text))
         self._at = 0
 
-    def _refusal(self, rule: str, actual: object, valid: str | None = None) -> Refusal:
+    def _make_refusal(self, rule: str, actual: object, valid: str | None = None) -> Refusal:
         return Refusal(self._where, self._quantity, rule, actual, valid)
 
-    def _split(self, text: str) -> Iterator[tuple[str, str, int]]:
+    def _split_text(self, text: str) -> Iterator[tuple[str, str, int]]:
         at, end = 0, len(text.rstrip())
         while at < end:
             match = _TOKEN.match(text, at)
             if match is None:
                 left = text[at:].lstrip()
                 actual = f"{left[:12]!r} at character {len(text) - len(left) + 1}"
-                raise self._refusal("be a formula", actual, "names, numbers, operators")
+                raise self._make_refusal("be a formula", actual, "names, numbers, operators")
             kind = match.lastgroup or ""
             yield kind, match[kind], match.start(kind) + 1
             at = match.end()
@@ -165,7 +165,7 @@ class _Parser:
     def _next(self) -> str:
         return self._tokens[self._at][1] if self._at < len(self._tokens) else ""
 
-    def _take(self, *words: str) -> str:
+    def _take_word(self, *words: str) -> str:
         word = self._next
         if word in words and word:
             self._at += 1
@@ -174,82 +174,88 @@ class _Parser:
 
     def _refuse_token(self, valid: str) -> Refusal:
         if self._at >= len(self._tokens):
-            return self._refusal("be a whole formula", "its end", valid)
+            return self._make_refusal("be a whole formula", "its end", valid)
         _, word, place = self._tokens[self._at]
-        return self._refusal("be a formula", f"{word!r} at character {place}", valid)
+        return self._make_refusal("be a formula", f"{word!r} at character {place}", valid)
 
-    def _expect(self, word: str) -> None:
-        if not self._take(word):
+    def _expect_word(self, word: str) -> None:
+        if not self._take_word(word):
             raise self._refuse_token(repr(word))
 
-    def finish(self) -> None:
+    def finish_text(self) -> None:
         if self._at < len(self._tokens):
             raise self._refuse_token("an operator such as and, until, <=")
 
-    def formula(self, parsed: _Any) -> Formula:
+    def require_formula(self, parsed: _Any) -> Formula:
         if isinstance(parsed, Constant | Signal | Operation):
-            raise self._refusal("be a comparison", "a number", "such as abs(v.elbow) <= 2")
+            raise self._make_refusal("be a comparison", "a number", "such as abs(v.elbow) <= 2")
         return parsed
 
-    def expression(self, parsed: _Any) -> Expression:
+    def require_expression(self, parsed: _Any) -> Expression:
         if not isinstance(parsed, Constant | Signal | Operation):
-            raise self._refusal("be a number where it is computed with", "a comparison")
+            raise self._make_refusal("be a number where it is computed with", "a comparison")
         return parsed
 
     def parse_implication(self, depth: int) -> _Any:
         if depth > DEEPEST:
-            raise self._refusal(f"nest at most {DEEPEST} levels", "more")
+            raise self._make_refusal(f"nest at most {DEEPEST} levels", "more")
         left = self._parse_or(depth + 1)
-        if not self._take("implies", "->"):
+        if not self._take_word("implies", "->"):
             return left
-        right = self.formula(self.parse_implication(depth + 1))
-        return Combined("or", (Combined("not", (self.formula(left),)), right))
+        right = self.require_formula(self.parse_implication(depth + 1))
+        return Combined("or", (Combined("not", (self.require_formula(left),)), right))
 
     def _parse_or(self, depth: int) -> _Any:
-        return self._chain("or", self._parse_and, depth)
+        return self._parse_chain("or", self._parse_and, depth)
 
     def _parse_and(self, depth: int) -> _Any:
-        return self._chain("and", self._until, depth)
+        return self._parse_chain("and", self._parse_until, depth)
 
-    def _chain(self, sign: str, tighter: Callable[[int], _Any], depth: int) -> _Any:
+    def _parse_chain(self, sign: str, tighter: Callable[[int], _Any], depth: int) -> _Any:
         """Return one operation for all parts that an operator joins, so that none is deep."""
         parts = [tighter(depth)]
-        while self._take(sign):
+        while self._take_word(sign):
             parts.append(tighter(depth))
-        return parts[0] if len(parts) == 1 else Combined(sign, tuple(map(self.formula, parts)))
+        return (
+            parts[0] if len(parts) == 1 else Combined(sign, tuple(map(self.require_formula, parts)))
+        )
 
-    def _until(self, depth: int) -> _Any:
+    def _parse_until(self, depth: int) -> _Any:
         left = self._parse_prefixed(depth)
-        if not self._take("until"):
+        if not self._take_word("until"):
             return left
         begin, end = self._parse_interval()
-        right = self.formula(self._parse_prefixed(depth))
-        return Window("until", (self.formula(left), right), begin, end)
+        right = self.require_formula(self._parse_prefixed(depth))
+        return Window("until", (self.require_formula(left), right), begin, end)
 
     def _parse_prefixed(self, depth: int) -> _Any:
         if depth > DEEPEST:
-            raise self._refusal(f"nest at most {DEEPEST} levels", "more")
-        if self._take("not"):
-            return Combined("not", (self.formula(self._parse_prefixed(depth + 1)),))
-        if sign := self._take("always", "eventually"):
+            raise self._make_refusal(f"nest at most {DEEPEST} levels", "more")
+        if self._take_word("not"):
+            return Combined("not", (self.require_formula(self._parse_prefixed(depth + 1)),))
+        if sign := self._take_word("always", "eventually"):
             begin, end = self._parse_interval()
-            return Window(sign, (self.formula(self._parse_prefixed(depth + 1)),), begin, end)
+            return Window(
+                sign, (self.require_formula(self._parse_prefixed(depth + 1)),), begin, end
+            )
         return self._parse_comparison(depth)
 
     def _parse_interval(self) -> tuple[float, float]:
-        if not self._take("["):
+        if not self._take_word("["):
             return 0.0, math.inf
-        begin = self._number("0")
-        if not self._take(",", ":"):
+        begin = self._parse_number("0")
+        if not self._take_word(",", ":"):
             raise self._refuse_token("',' and the end of the interval")
-        end = self._number("end")
-        self._expect("]")
+        end = self._parse_number("end")
+        self._expect_word("]")
         if not begin <= end:
-            raise self._refusal("have intervals [a, b] with a <= b [s]", f"[{begin:g}, {end:g}]")
+            raise self._make_refusal(
+                "have intervals [a, b] with a <= b [s]", f"[{begin:g}, {end:g}]"
+            )
         return begin, end
 
-    def _number(self, example: str) -> float:
-        if self._take("end", "inf"):
+    def _parse_number(self, example: str) -> float:
+        if self._take_word("end", "inf"):
             return math.inf
         kind, word, _ = self._tokens[self._at] if self._next else ("", "", 0)
         if kind != "number":
@@ -260,11 +266,13 @@ class _Parser:
     def _parse_comparison(self, depth: int) -> _Any:
         left = self._parse_sum(depth)
         margins: list[Formula] = []
-        while sign := self._take(*COMPARISONS):
-            right = self.expression(self._parse_sum(depth))
+        while sign := self._take_word(*COMPARISONS):
+            right = self.require_expression(self._parse_sum(depth))
             less, more = (left, right) if sign[0] == "<" else (right, left)
             strict = sign in ("<", ">")
-            margins.append(Margin(self.expression(more), self.expression(less), strict))
+            margins.append(
+                Margin(self.require_expression(more), self.require_expression(less), strict)
+            )
             left = right
         if not margins:
             return left
@@ -272,30 +280,30 @@ class _Parser:
 
     def _parse_sum(self, depth: int) -> _Any:
         left = self._parse_product(depth)
-        while sign := self._take("+", "-"):
+        while sign := self._take_word("+", "-"):
             left = self._build_operation(sign, left, self._parse_product(depth))
         return left
 
     def _parse_product(self, depth: int) -> _Any:
         left = self._parse_signed(depth)
-        while sign := self._take("*", "/"):
+        while sign := self._take_word("*", "/"):
             left = self._build_operation(sign, left, self._parse_signed(depth))
         return left
 
     def _build_operation(self, sign: str, *of: _Any) -> Operation:
-        return Operation(sign, tuple(map(self.expression, of)))
+        return Operation(sign, tuple(map(self.require_expression, of)))
 
     def _parse_signed(self, depth: int) -> _Any:
         if depth > DEEPEST:
-            raise self._refusal(f"nest at most {DEEPEST} levels", "more")
-        if self._take("-"):
+            raise self._make_refusal(f"nest at most {DEEPEST} levels", "more")
+        if self._take_word("-"):
             return self._build_operation("-", Constant(0.0), self._parse_signed(depth + 1))
         return self._parse_primary(depth)
 
     def _parse_primary(self, depth: int) -> _Any:
-        if self._take("("):
+        if self._take_word("("):
             inner = self.parse_implication(depth + 1)
-            self._expect(")")
+            self._expect_word(")")
             return inner
         kind, word, _ = self._tokens[self._at] if self._next else ("", "", 0)
         if kind == "number":
@@ -305,21 +313,21 @@ class _Parser:
             raise self._refuse_token("a signal, a number, always, eventually, not or (")
         self._at += 1
         if self._next == "(":
-            return self._function(word, depth)
+            return self._parse_function(word, depth)
         return Signal(word)
 
-    def _function(self, name: str, depth: int) -> Operation:
+    def _parse_function(self, name: str, depth: int) -> Operation:
         if name not in FUNCTIONS:
-            raise self._refusal("use known functions", name, ", ".join(FUNCTIONS))
-        self._expect("(")
-        of = [self.expression(self.parse_implication(depth + 1))]
-        while self._take(","):
-            of.append(self.expression(self.parse_implication(depth + 1)))
-        self._expect(")")
+            raise self._make_refusal("use known functions", name, ", ".join(FUNCTIONS))
+        self._expect_word("(")
+        of = [self.require_expression(self.parse_implication(depth + 1))]
+        while self._take_word(","):
+            of.append(self.require_expression(self.parse_implication(depth + 1)))
+        self._expect_word(")")
         fewest = FUNCTIONS[name]
         if len(of) < fewest or (fewest == 1 and len(of) > 1):
             expected = f"{fewest} argument" if fewest == 1 else f"{fewest} arguments or more"
-            raise self._refusal(f"give {name} {expected}", len(of))
+            raise self._make_refusal(f"give {name} {expected}", len(of))
         return Operation(name, tuple(of))
 
 
@@ -334,11 +342,11 @@ def list_signals(formula: Formula | Expression) -> set[str]:
         return set().union(*map(list_signals, formula.of))
     names: set[str] = set()
 
-    def add(part: Expression, _: object) -> None:
+    def add_signal(part: Expression, _: object) -> None:
         if isinstance(part, Signal):
             names.add(part.name)
 
-    fold(formula, add)
+    fold_expression(formula, add_signal)
     return names
 
 
@@ -390,12 +398,12 @@ def expand_stars(
 
 
 def _replace_star(expression: Expression, text: str) -> Expression:
-    def put(part: Expression, operands: Sequence[Expression]) -> Expression:
+    def put_joint(part: Expression, operands: Sequence[Expression]) -> Expression:
         if isinstance(part, Signal):
             return Signal(part.name.replace("*", text))
         return Operation(part.sign, tuple(operands)) if isinstance(part, Operation) else part
 
-    return fold(expression, put)
+    return fold_expression(expression, put_joint)
 
 
 def _refuse_unknown(name: str, signals: Sequence[str], where: str, quantity: str) -> Refusal:

@@ -63,7 +63,7 @@ def is_complete(stream: IO[bytes]) -> bool:
     return size >= 2 * len(MCAP0_MAGIC) and stream.read() == MCAP0_MAGIC
 
 
-def records(stream: IO[bytes]) -> Iterator[tuple[McapRecord | None, int]]:
+def read_records(stream: IO[bytes]) -> Iterator[tuple[McapRecord | None, int]]:
     """Yield the content of a file, and where its record ends.
 
     Schemas, channels, messages and metadata are yielded, whether they are in chunks or not; None
@@ -79,7 +79,7 @@ def records(stream: IO[bytes]) -> Iterator[tuple[McapRecord | None, int]]:
     if not MCAP0_MAGIC.startswith(stream.read(len(MCAP0_MAGIC))):
         raise DamagedRecords("it does not begin like one")
     try:
-        for opcode, content, end in _split(stream, size):
+        for opcode, content, end in _split_records(stream, size):
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 if complete:
                     return
@@ -93,7 +93,7 @@ def records(stream: IO[bytes]) -> Iterator[tuple[McapRecord | None, int]]:
                 raise DamagedRecords("chunks that unpack to more than a bag may")
             at, data = 0, BytesIO(_unpack_chunk(record))
             with contextlib.suppress(EOFError):
-                for inner, text, ends in _split(data, record.uncompressed_size):
+                for inner, text, ends in _split_records(data, record.uncompressed_size):
                     if inner not in _IN_CHUNKS:
                         raise DamagedRecords(f"a record of kind {inner} in a chunk")
                     at = ends
@@ -124,7 +124,7 @@ def recover_mcap(file: Path) -> bool:
             return False
         try:
             with contextlib.suppress(CutOff):
-                ends += (end for _, end in records(stream))
+                ends += (end for _, end in read_records(stream))
         except DamagedRecords as error:
             raise Refusal(str(file), "the bag", "be undamaged MCAP", error) from None
     while True:
@@ -153,7 +153,7 @@ def _write_end(file: Path, at: int) -> None:
         flush_to_disk(stream.fileno())
 
 
-def _split(stream: IO[bytes], size: int) -> Iterator[tuple[int, bytes, int]]:
+def _split_records(stream: IO[bytes], size: int) -> Iterator[tuple[int, bytes, int]]:
     """Yield opcode, content and end of each record of a file or chunk; the content only if used.
 
     Raises:

@@ -30,7 +30,7 @@ CLOCK = ("t", "tick")  # in both channels of MCAP
 class RecordFile(Protocol):
     """A new file for rows."""
 
-    def write(self, rows: Rows) -> None:
+    def write_rows(self, rows: Rows) -> None:
         """Append rows (K,).
 
         Raises:
@@ -75,7 +75,7 @@ class CsvFile:
         # End of the last whole line.
         self._complete_size = self._stream.tell()
 
-    def write(self, rows: Rows) -> None:
+    def write_rows(self, rows: Rows) -> None:
         """Append lines."""
         lines = map(",".join, zip(*_format_texts(self._columns, rows, ""), strict=True))
         self._stream.write("".join(f"{line}\n" for line in lines).encode())
@@ -109,16 +109,19 @@ class McapFile:
         truth = [column for column in columns if column.path[0] != MEASURED]
         measured = [column for column in columns if column.path[0] == MEASURED]
         clock = [column for column in truth if column.name in CLOCK]
-        self._topics = [self._topic("truth", truth), self._topic(MEASURED, clock + measured)]
+        self._topics = [
+            self._add_topic("truth", truth),
+            self._add_topic(MEASURED, clock + measured),
+        ]
 
-    def _topic(self, name: str, columns: list[Column]) -> tuple[int, list[Column], str]:
+    def _add_topic(self, name: str, columns: list[Column]) -> tuple[int, list[Column], str]:
         """Return number, columns and template of a channel."""
         tree = _build_tree(columns)
         text = json.dumps({"title": name, **_build_schema(tree)}).encode()
         schema = self._mcap.register_schema(f"arm_emulator.{name}", "jsonschema", text)
         return self._mcap.register_channel(name, "json", schema), columns, _build_template(tree)
 
-    def write(self, rows: Rows) -> None:
+    def write_rows(self, rows: Rows) -> None:
         """Append a message per row and channel, at its logical time."""
         times = np.rint(rows["t"] * NANOSECONDS).astype(np.int64).tolist()
         lines = [
@@ -158,7 +161,7 @@ class _WrittenAtEnd:
         self._part = file.with_name(f".{file.name}.{os.getpid()}.part")
         self._part.touch(exist_ok=False)
 
-    def _publish(self) -> None:
+    def _publish_file(self) -> None:
         with self._part.open("rb") as stream:
             flush_to_disk(stream.fileno())
         self._part.rename(self._file)
@@ -181,7 +184,7 @@ class ParquetFile(_WrittenAtEnd):
         self._open = pq.ParquetWriter
         self._writer: Any = None
 
-    def write(self, rows: Rows) -> None:
+    def write_rows(self, rows: Rows) -> None:
         """Append rows, which are written group by group."""
         self._waiting.append(rows)
         if sum(map(len, self._waiting)) >= ROWS_OF_GROUP:
@@ -201,7 +204,7 @@ class ParquetFile(_WrittenAtEnd):
         self._write_group()
         if self._writer is not None:
             self._writer.close()
-        self._publish()
+        self._publish_file()
 
     def give_up(self) -> None:
         """Leave no file."""
@@ -217,7 +220,7 @@ class NpzFile(_WrittenAtEnd):
         super().__init__(file, columns)
         self._waiting: list[Rows] = []
 
-    def write(self, rows: Rows) -> None:
+    def write_rows(self, rows: Rows) -> None:
         """Collect rows, which are written at the end."""
         self._waiting.append(rows)
 
@@ -225,8 +228,10 @@ class NpzFile(_WrittenAtEnd):
         """Write all rows."""
         rows = np.concatenate(self._waiting)
         with self._part.open("wb") as stream:
-            np.savez(stream, **{column.name: column.of(rows) for column in self._columns})  # type: ignore[arg-type]
-        self._publish()
+            np.savez(
+                stream, **{column.name: column.select_values(rows) for column in self._columns}
+            )  # type: ignore[arg-type]
+        self._publish_file()
 
 
 KINDS: dict[str, Callable[[Path, Sequence[Column]], RecordFile]] = dict(
@@ -238,7 +243,7 @@ def build_arrow_table(columns: Sequence[Column], rows: Rows) -> Any:
     """Return rows as an Arrow table, with units in the metadata of its fields."""
     import pyarrow as pa
 
-    arrays = [pa.array(np.ascontiguousarray(column.of(rows))) for column in columns]
+    arrays = [pa.array(np.ascontiguousarray(column.select_values(rows))) for column in columns]
     fields = [
         pa.field(column.name, array.type, metadata={"unit": column.unit} if column.unit else None)
         for column, array in zip(columns, arrays, strict=True)
@@ -250,7 +255,7 @@ def _format_texts(columns: Sequence[Column], rows: Rows, none: str) -> list[list
     """Return columns as texts that give the same bits; `none` for values that are not finite."""
     texts = []
     for column in columns:
-        values = column.of(rows)
+        values = column.select_values(rows)
         written = list(map(repr, values.tolist()))
         for k in np.flatnonzero(~np.isfinite(values)):
             written[k] = none

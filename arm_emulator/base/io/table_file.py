@@ -36,7 +36,7 @@ class Table:
     lines: tuple[int, ...]
     values: Array
 
-    def column(self, name: str) -> Array:
+    def get_column(self, name: str) -> Array:
         """Return the values below a name (K,)."""
         column: Array = self.values[:, self.columns.index(name)]
         return column

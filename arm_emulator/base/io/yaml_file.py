@@ -147,13 +147,13 @@ def read_nodes(text: str) -> dict[str, tuple[yaml.Node, yaml.Node]]:
     """
     nodes: dict[str, tuple[yaml.Node, yaml.Node]] = {}
 
-    def collect(node: yaml.Node | None, path: str) -> None:
+    def collect_nodes(node: yaml.Node | None, path: str) -> None:
         if isinstance(node, yaml.MappingNode):
             for key, value in node.value:
                 nodes[f"{path}{key.value}"] = key, value
-                collect(value, f"{path}{key.value}.")
+                collect_nodes(value, f"{path}{key.value}.")
 
-    collect(yaml.compose(text, yaml.SafeLoader), "")
+    collect_nodes(yaml.compose(text, yaml.SafeLoader), "")
     return nodes
 
 

@@ -27,7 +27,7 @@ class Follows:
     shares: Mapping[str, float]  # by the shaft's name
     offset: float  # rad or m
 
-    def position(self, shafts: Mapping[str, float]) -> float:
+    def compute_position(self, shafts: Mapping[str, float]) -> float:
         """Return the joint's position [rad or m] at positions of the shafts; 0 of those left out.
 
         A joint that is fixed in the URDF is left out: it stands at 0.
@@ -50,7 +50,7 @@ def list_followers(robot: ET.Element, where: str, but: Sequence[str] = ()) -> di
     """
     elements = {joint.get("name", ""): joint for joint in robot.findall("joint")}
     couplings = {
-        name: _read(joint, elements, where)
+        name: _read_mimic(joint, elements, where)
         for name, joint in elements.items()
         if name not in but
         and joint.get("type") != "fixed"
@@ -59,7 +59,7 @@ def list_followers(robot: ET.Element, where: str, but: Sequence[str] = ()) -> di
     return {name: _resolve_followers(name, couplings, where) for name in couplings}
 
 
-def _read(joint: ET.Element, elements: Mapping[str, ET.Element], where: str) -> Follows:
+def _read_mimic(joint: ET.Element, elements: Mapping[str, ET.Element], where: str) -> Follows:
     label = f"joint {joint.get('name')}"
     shares: dict[str, float] = {}
     offset = 0.0
@@ -143,7 +143,7 @@ def _suggest_remedy(
     moving = [shaft for shaft in follows.shares if shaft in shafts]
     if moving:
         return f"lock it in the scene, at a position of {', '.join(moving)} that you choose"
-    return f"lock it in the scene: locked: {{{name}: {follows.position(locked or {})!r}}}"
+    return f"lock it in the scene: locked: {{{name}: {follows.compute_position(locked or {})!r}}}"
 
 
 def read_coupling(

@@ -12,15 +12,15 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.products import apply_matrix, multiply_matrices
 
 
-def _constant(values: object) -> Array:
+def _make_constant(values: object) -> Array:
     array = np.array(values, dtype=np.float64)
     array.flags.writeable = False
     return array
 
 
-_ZERO = _constant(np.zeros(3))
-X_AXIS = _constant([1.0, 0.0, 0.0])
-EYE = _constant(np.eye(3))  # recognised, since many frames have no rotation
+_ZERO = _make_constant(np.zeros(3))
+X_AXIS = _make_constant([1.0, 0.0, 0.0])
+EYE = _make_constant(np.eye(3))  # recognised, since many frames have no rotation
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Frame:
     p: Array = field(default_factory=lambda: _ZERO)
 
     def __matmul__(self, other: Frame) -> Frame:
-        R = self.R if other.R is EYE else clean(multiply_matrices(self.R, other.R))
+        R = self.R if other.R is EYE else round_rotation(multiply_matrices(self.R, other.R))
         return Frame(R, apply_matrix(self.R, other.p) + self.p)
 
     @property
@@ -40,14 +40,14 @@ class Frame:
         return Frame(self.R.T, -apply_matrix(self.R.T, self.p))
 
 
-def frame_of(xyz: Iterable[float], rpy: Iterable[float]) -> Frame:
+def make_frame(xyz: Iterable[float], rpy: Iterable[float]) -> Frame:
     """Return the frame at `xyz` [m], turned by roll, pitch and yaw [rad] as in a URDF."""
-    rotations = (turn(axis, angle) for axis, angle in enumerate(rpy))
+    rotations = (compute_rotation(axis, angle) for axis, angle in enumerate(rpy))
     roll, pitch, yaw = rotations
-    return Frame(clean(multiply_matrices(yaw, pitch, roll)), np.array(tuple(xyz)))
+    return Frame(round_rotation(multiply_matrices(yaw, pitch, roll)), np.array(tuple(xyz)))
 
 
-def turn(axis: int, angle: float) -> Array:
+def compute_rotation(axis: int, angle: float) -> Array:
     """Return the rotation about an axis of the frame."""
     R: Array = build_rotations(axis, [angle])[0]
     return R
@@ -60,7 +60,7 @@ def build_rotations(axis: int, angles: Iterable[float]) -> Array:
     R = np.tile(np.eye(3), (len(c), 1, 1))
     i, j = (axis + 1) % 3, (axis + 2) % 3
     R[:, i, i], R[:, i, j], R[:, j, i], R[:, j, j] = c, -s, s, c
-    return clean(R)
+    return round_rotation(R)
 
 
 def compute_atan2(y: float, x: float) -> float:
@@ -68,7 +68,7 @@ def compute_atan2(y: float, x: float) -> float:
     return 0.0 if y == 0.0 and x == 0.0 else math.atan2(y, x) + 0.0
 
 
-def rpy_of(R: Array) -> Array:
+def compute_rpy(R: Array) -> Array:
     """Return roll, pitch and yaw of Rz(yaw) Ry(pitch) Rx(roll)."""
     # The roll is that of Rz(-yaw) R, whatever the yaw is: near a pitch of a quarter turn roll and
     # yaw are ambiguous, but their product is still R.
@@ -78,7 +78,7 @@ def rpy_of(R: Array) -> Array:
     return np.array([math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1]), pitch, yaw])
 
 
-def clean(R: Array) -> Array:
+def round_rotation(R: Array) -> Array:
     """Return a rotation with entries that rounding moved off 0 and +-1 put back.
 
     The compiler folds zeros; the threshold is a few units of the last place.

@@ -19,8 +19,8 @@ from arm_emulator.base.urdf.frames import (
     X_AXIS,
     Frame,
     build_rotations,
-    clean,
     compute_cross,
+    round_rotation,
 )
 
 MOVING_KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
@@ -141,7 +141,7 @@ def read_frames(
     values = np.array(rows).reshape(-1, 6)
     check_size(values[:, :3], LARGEST_LENGTH, whats, f"{name} xyz", where)
     check_size(values[:, 3:], LARGEST_ANGLE, whats, f"{name} rpy", where)
-    R = clean(
+    R = round_rotation(
         multiply_matrices(
             *(build_rotations(axis, values[:, 3 + axis].tolist()) for axis in (2, 1, 0))
         )

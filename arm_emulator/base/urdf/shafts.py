@@ -76,19 +76,19 @@ class Shafts:
             self.offset[k] = row.offset
         self.coupled = len(along) > 0 or bool((self.C != np.eye(len(names))).any())
 
-    def of_joints(self, p: Array) -> Array:
+    def convert_to_joints(self, p: Array) -> Array:
         """Return the joints' angles, of shafts' angles (..., N)."""
         return p @ self.C.T + self.offset if self.coupled else p
 
-    def rates(self, p: Array) -> Array:
+    def convert_rates(self, p: Array) -> Array:
         """Return the joints' speeds or accelerations."""
         return self.C @ p if self.coupled else p
 
-    def columns(self, J: Array) -> Array:
+    def convert_columns(self, J: Array) -> Array:
         """Return columns (or torques) by the shafts, of those by the joints."""
         return J @ self.C if self.coupled else J
 
-    def positions(self, lower: Array, upper: Array) -> tuple[Array, Array]:
+    def bound_positions(self, lower: Array, upper: Array) -> tuple[Array, Array]:
         """Return limits of the shafts within which no joint passes its own.
 
         Where a joint goes with several shafts, these are a box around the middle of the joints'
@@ -116,7 +116,7 @@ class Shafts:
             spare = np.maximum(half - np.abs(C @ centre + self.offset[limited] - middle), 0.0)
             reach = self._find_smallest(spare, C)
             low[boxed], high[boxed] = (centre - reach)[boxed], (centre + reach)[boxed]
-        lowest, highest = self._ends(low, high)
+        lowest, highest = self._bound_joints(low, high)
         beyond = (lowest < lower - _ROUNDING) | (highest > upper + _ROUNDING) | (highest < lowest)
         for k in np.flatnonzero(beyond).tolist():
             rule = "have limits that its couplings can keep"
@@ -124,7 +124,7 @@ class Shafts:
             raise Refusal(WHERE, f"joint {self.joints[k]}", rule, actual)
         return low, high
 
-    def _ends(self, low: Array, high: Array) -> tuple[Array, Array]:
+    def _bound_joints(self, low: Array, high: Array) -> tuple[Array, Array]:
         """Return between which angles joints are where shafts are within a box."""
         up, down = np.maximum(self.C, 0.0), np.minimum(self.C, 0.0)
         with np.errstate(invalid="ignore"):  # 0 times infinite: a shaft that is not the joint's
@@ -134,7 +134,7 @@ class Shafts:
             ]
         return ends[0], ends[1]
 
-    def bound(self, of_joints: Array) -> Array:
+    def bound_rates(self, of_joints: Array) -> Array:
         """Return limits of the shafts' rates with which no joint passes its own."""
         return self._find_smallest(of_joints, self.C) if self.coupled else of_joints
 
@@ -154,7 +154,7 @@ def read_shaft_limits(urdf_xml: str, names: Sequence[str]) -> dict[str, tuple[fl
     shafts = Shafts(urdf_xml, names)
     of_joints = read_limits(parse_urdf(urdf_xml, WHERE))
     ends = [of_joints.get(name, (-np.inf, np.inf)) for name in shafts.joints]
-    low, high = shafts.positions(*np.array(ends, dtype=np.float64).T)
+    low, high = shafts.bound_positions(*np.array(ends, dtype=np.float64).T)
     limited = np.isfinite(high - low)
     pairs = zip(names, low.tolist(), high.tolist(), limited, strict=True)
     return {name: (lower, upper) for name, lower, upper, is_limited in pairs if is_limited}

@@ -81,10 +81,10 @@ def parse_urdf(text: str, where: str) -> ET.Element:
     parser.EndElementHandler = builder.end
     parser.CharacterDataHandler = builder.data
 
-    def doctype(*_: object) -> None:
+    def refuse_doctype(*_: object) -> None:
         raise Refusal(where, "file", "have no document type", "<!DOCTYPE")
 
-    parser.StartDoctypeDeclHandler = doctype
+    parser.StartDoctypeDeclHandler = refuse_doctype
     try:
         parser.Parse(text, True)
         robot = builder.close()
@@ -134,7 +134,7 @@ def complete_limits(robot: ET.Element, where: str) -> bool:
             continue
         limit = joint.find("limit")
         values = {} if limit is None else limit.attrib
-        bounds = [_bound(joint, key, values.get(key), where) for key in ("lower", "upper")]
+        bounds = [_check_bound(joint, key, values.get(key), where) for key in ("lower", "upper")]
         if bounds[0] > bounds[1]:
             label = f"joint {joint.get('name')}: limit"
             raise Refusal(where, label, "have lower <= upper", f"{bounds[0]:g} > {bounds[1]:g}")
@@ -156,7 +156,7 @@ def complete_limits(robot: ET.Element, where: str) -> bool:
     return changed
 
 
-def _bound(joint: ET.Element, key: str, text: str | None, where: str) -> float:
+def _check_bound(joint: ET.Element, key: str, text: str | None, where: str) -> float:
     try:
         value = float(text or "0")
     except ValueError:

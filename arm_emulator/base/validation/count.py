@@ -28,7 +28,9 @@ def check_count(
         count = None
     if count is None or not smallest <= count <= largest:
         maximum = None if largest == LARGEST else largest
-        raise Number(quantity, at_least=smallest, at_most=maximum, whole=True).refusal(where, value)
+        raise Number(quantity, at_least=smallest, at_most=maximum, whole=True).make_refusal(
+            where, value
+        )
     return count
 
 

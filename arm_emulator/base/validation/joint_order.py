@@ -42,7 +42,7 @@ class JointOrder:
         self.names = list(names)
         self._index = {name: index for index, name in enumerate(self.names)}
 
-    def arrange(
+    def arrange_values(
         self, names: Sequence[str], values: Sequence[float], bound: Number
     ) -> NDArray[np.float64]:
         """Return `values`, given one per entry of `names`, in the receiver's order (N,).
@@ -58,7 +58,7 @@ class JointOrder:
         """
         if isinstance(names, str | bytes) or not isinstance(names, Sequence):
             raise Refusal(self.topic, "joint names", "be a list of names", names)
-        array = np.array(bound.numbers(self.topic, values))
+        array = np.array(bound.check_numbers(self.topic, values))
         if array.shape != (len(names),):
             rule = f"have one value per joint name ({len(names)})"
             actual = f"{len(array)} values" if array.ndim == 1 else values
@@ -67,5 +67,5 @@ class JointOrder:
             check_joint_names(self.topic, names, self.names)
             unordered, array = array, np.empty_like(array)
             array[[self._index[name] for name in names]] = unordered
-        bound.check(self.topic, array.tolist(), self.names)
+        bound.check_values(self.topic, array.tolist(), self.names)
         return array

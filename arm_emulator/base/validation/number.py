@@ -5,7 +5,7 @@ the pages follow from the declaration. It stands in a dataclass that has the num
 
     boot: float = number("s", at_least=0.0, at_most=100.0, default=0.0)
 
-or by itself: ``POSITION = Number.within("position", "rad", 1e6)``.
+or by itself: ``POSITION = Number.bound_size("position", "rad", 1e6)``.
 """
 
 import dataclasses
@@ -58,11 +58,11 @@ class Number:
     text: str = ""
 
     @classmethod
-    def within(cls, name: str, unit: str, largest: float | Array) -> Self:
+    def bound_size(cls, name: str, unit: str, largest: float | Array) -> Self:
         """Return a number of either sign and at most this size, of a row one per entry (N,)."""
         return cls(name, unit, in_size=True, at_most=largest)
 
-    def named(self, name: str) -> Self:
+    def rename(self, name: str) -> Self:
         """Return the same for a quantity of another name."""
         renamed = object.__new__(type(self))  # all but the name: quicker than dataclasses.replace
         renamed.__dict__.update(self.__dict__, name=name)
@@ -79,7 +79,7 @@ class Number:
         within = self.least <= size <= self.most and size < math.inf
         return bool(within and not (self.whole and size % 1))
 
-    def take(self, where: str, value: Any, name: str = "") -> float:
+    def check_value(self, where: str, value: Any, name: str = "") -> float:
         """Return a value as a float, or as an int where it is a whole number.
 
         Args:
@@ -93,22 +93,22 @@ class Number:
         if isinstance(value, np.ndarray) and value.ndim == 0:
             value = value[()]
         if not self.is_in_range(value):
-            raise self.named(name or self.name).refusal(where, value)
+            raise self.rename(name or self.name).make_refusal(where, value)
         return int(value) if self.whole else float(value)
 
-    def row(self, where: str, values: object, count: int) -> Array:
+    def check_row(self, where: str, values: object, count: int) -> Array:
         """Return `values` as an array of `count` numbers in the range, which may be `values`.
 
         Raises:
             Refusal: no numbers, another number of them, not finite, or out of the range.
         """
-        array = self.numbers(where, values)
+        array = self.check_numbers(where, values)
         if array.shape != (count,):
             raise Refusal(where, self.name, f"have {count} values", values)
-        self.check(where, array.tolist())
+        self.check_values(where, array.tolist())
         return array
 
-    def numbers(self, where: str, values: object) -> Array:
+    def check_numbers(self, where: str, values: object) -> Array:
         """Return `values` as an array of numbers of any size, which may be `values` itself.
 
         Raises:
@@ -116,10 +116,10 @@ class Number:
         """
         array = coerce_array(values)
         if array is None:
-            raise Refusal(where, self.name, self._rule(None, self.most, many=True), values)
+            raise Refusal(where, self.name, self._describe_rule(None, self.most, many=True), values)
         return array
 
-    def check(
+    def check_values(
         self, where: str, values: Sequence[float] | Array, joints: Sequence[str] = ()
     ) -> None:
         """Refuse numbers of which one is not finite or out of the range.
@@ -148,16 +148,18 @@ class Number:
             limit = float(np.broadcast_to(np.asarray(largest), array.shape)[at])
             if joints:
                 value = float(array[at])
-                rule = self._rule(value, limit) if math.isfinite(value) else "be finite"
+                rule = self._describe_rule(value, limit) if math.isfinite(value) else "be finite"
                 raise Refusal(where, f"{self.name} of {joints[int(at[0])]}", rule, value)
             actual = array.tolist() if array.ndim == 1 else array
-            raise Refusal(where, self.name, self._rule(float(array[at]), limit, many=True), actual)
+            raise Refusal(
+                where, self.name, self._describe_rule(float(array[at]), limit, many=True), actual
+            )
 
-    def refusal(self, where: str, value: object) -> Refusal:
+    def make_refusal(self, where: str, value: object) -> Refusal:
         """Return the refusal of a value."""
         number = isinstance(value, int | float) and not isinstance(value, bool)
         actual = value if number else "nothing" if value is None else repr(value)
-        return Refusal(where, self.name, self._rule(value, self.most), actual)
+        return Refusal(where, self.name, self._describe_rule(value, self.most), actual)
 
     @property
     def rule(self) -> str:
@@ -168,7 +170,7 @@ class Number:
     def range(self) -> str:
         """The same as a description: ``number > 0 ohm``."""
         largest = None if self.at_most is None else self.most
-        return self._range(self.above, self.at_least, largest)
+        return self._describe_range(self.above, self.at_least, largest)
 
     @property
     def described(self) -> str:
@@ -200,7 +202,7 @@ class Number:
         free = (self.least <= 0.0 if self.in_size else self.least <= -self.most) and not self.whole
         return min(self.most, sys.float_info.max) if free else -1.0
 
-    def _rule(self, value: object, largest: float, *, many: bool = False) -> str:
+    def _describe_rule(self, value: object, largest: float, *, many: bool = False) -> str:
         """Return the rule that a value breaks: as declared, or of what can be computed with."""
         maximum = None if self.at_most is None else largest
         if isinstance(value, np.floating):
@@ -208,9 +210,9 @@ class Number:
         is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
         if is_number and self._is_in_bounds(abs(value) if self.in_size else value, maximum):  # type: ignore[arg-type]
             low = None if self.in_size and self.above is None else self.least
-            words = self._range(None, low, largest)
+            words = self._describe_range(None, low, largest)
         else:
-            words = self._range(self.above, self.at_least, maximum)
+            words = self._describe_range(self.above, self.at_least, maximum)
         return f"be {words.replace('number', 'numbers', 1)}" if many else f"be a {words}"
 
     def _is_in_bounds(self, size: float, largest: float | None) -> bool:
@@ -221,25 +223,29 @@ class Number:
             and not (self.whole and abs(size) < math.inf and size % 1)
         )
 
-    def _range(self, above: float | None, minimum: float | None, maximum: float | None) -> str:
+    def _describe_range(
+        self, above: float | None, minimum: float | None, maximum: float | None
+    ) -> str:
         kind = "whole number" if self.whole else "number"
         bounds = {">": above, ">=": minimum, "<=": maximum}
-        phrases = [f"{sign} {self._end(end)}" for sign, end in bounds.items() if end is not None]
+        phrases = [
+            f"{sign} {self._write_end(end)}" for sign, end in bounds.items() if end is not None
+        ]
         if maximum == math.inf:
             kind, phrases = "finite number", phrases[:-1]
         if minimum is not None and maximum is not None:
-            phrases = [f"from {self._end(minimum)} to {self._end(maximum)}"]
+            phrases = [f"from {self._write_end(minimum)} to {self._write_end(maximum)}"]
         of_size = "of size" if self.in_size and phrases else ""
         if self.in_size and above == 0.0 and maximum is None:
             of_size, phrases = "", ["other than 0"]
         elif self.in_size and above is None and minimum is None and phrases:
-            of_size, phrases = "", [f"within +-{self._end(maximum)}"]  # type: ignore[arg-type]
+            of_size, phrases = "", [f"within +-{self._write_end(maximum)}"]  # type: ignore[arg-type]
         unit = "" if self.unit == "1" else self.unit
         unit = f"[{unit}]" if unit and not phrases else unit
         words = kind, of_size, " and ".join(phrases), unit
         return " ".join(word for word in words if word)
 
-    def _end(self, value: float) -> str:
+    def _write_end(self, value: float) -> str:
         return str(int(value)) if self.whole else f"{value:g}"
 
 
@@ -274,7 +280,7 @@ def list_numbers(kind: type[Any]) -> dict[str, Any]:
 @cache  # a scene asks once for every part of every joint
 def _list_numbers(kind: type) -> dict[str, Any]:
     return {
-        field.name: field.metadata["number"].named(field.name)
+        field.name: field.metadata["number"].rename(field.name)
         for field in dataclasses.fields(kind)
         if "number" in field.metadata
     }

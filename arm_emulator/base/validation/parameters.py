@@ -139,7 +139,7 @@ def read_numbers(
     values = {key: number.default for key, number in declared.items()}
     for key, number in declared.items():
         if key in table:
-            values[key] = number.take(where, table[key], f"{prefix}{key}")
+            values[key] = number.check_value(where, table[key], f"{prefix}{key}")
         elif number.default is REQUIRED:
             raise Refusal(where, f"{prefix}{key}", "be given", "nothing")
     return values
@@ -180,7 +180,7 @@ def check_parameter(value: Any, field: dataclasses.Field[Any], where: str) -> An
     """
     label, kind, choices = f"parameter {field.name}", type(field.default), field.metadata["choices"]
     if (number := field.metadata.get("number")) is not None:
-        return number.take(where, value, label)
+        return number.check_value(where, value, label)
     if choices and value not in choices:
         raise Refusal(where, label, "be known", repr(value), ", ".join(choices))
     if type(value) is not kind:

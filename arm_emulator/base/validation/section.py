@@ -11,7 +11,7 @@ LARGEST_COUNT = 1_000_000_000  # steps per servo period, counts per turn: larger
 
 
 class Section:
-    """One mapping of the file, read key by key; `finish` refuses keys that were not read.
+    """One mapping of the file, read key by key; `refuse_unread_keys` refuses keys that were not read.
 
     A key that is present must have a value of the requested type; an absent one gives the
     default, if the reading method has one, or is refused.
@@ -29,93 +29,95 @@ class Section:
         self._read_keys: set[str] = set()
         self._sections: dict[str, Section] = {}
 
-    def keys(self) -> list[str]:
+    def list_keys(self) -> list[str]:
         """Return the keys of the mapping."""
         return [str(key) for key in self._data]
 
-    def has(self, key: str) -> bool:
+    def has_key(self, key: str) -> bool:
         """Return whether a key is present, and mark it as known."""
         self._read_keys.add(key)
         return key in self._data
 
-    def put(self, key: str, value: object) -> None:
+    def set_value(self, key: str, value: object) -> None:
         """Set the value of a key as if the file contained it."""
         self._data = {**self._data, key: value}
 
-    def refusal(self, key: str, rule: str, actual: object, valid: str | None = None) -> Refusal:
+    def make_refusal(
+        self, key: str, rule: str, actual: object, valid: str | None = None
+    ) -> Refusal:
         """Return the refusal of a key's value."""
-        return Refusal(self.where, self._name(key), rule, actual, valid)
+        return Refusal(self.where, self._write_name(key), rule, actual, valid)
 
-    def section(self, key: str) -> Section | None:
+    def get_section(self, key: str) -> Section | None:
         """Return the section below a key, None if the key is absent."""
-        if not self.has(key):
+        if not self.has_key(key):
             return None
         if self._data[key] is None:
-            return self._below(key, {})
-        return self.required_section(key)
+            return self._make_section(key, {})
+        return self.require_section(key)
 
-    def below(self, dotted: str) -> Section | None:
+    def find_section(self, dotted: str) -> Section | None:
         """Return the section at a dotted path below this one, None if one on the way is absent."""
         section: Section | None = self
         for key in dotted.split("."):
-            section = section and section.section(key)
+            section = section and section.get_section(key)
         return section
 
-    def required_section(self, key: str) -> Section:
+    def require_section(self, key: str) -> Section:
         """Return the section below a required key."""
-        value = self._take(key)
+        value = self._take_value(key)
         if not isinstance(value, dict):
             rule = "be a section of keys and values"
-            raise self.refusal(key, rule, "nothing" if value is None else repr(value))
-        return self._below(key, value)
+            raise self.make_refusal(key, rule, "nothing" if value is None else repr(value))
+        return self._make_section(key, value)
 
-    def text(self, key: str, max_bytes: int = 4096) -> str:
+    def read_text(self, key: str, max_bytes: int = 4096) -> str:
         """Return a text of printable letters."""
-        value = self._take(key)
+        value = self._take_value(key)
         if not isinstance(value, str) or not value:
-            raise self.refusal(key, "be a text", "nothing" if value is None else repr(value))
+            raise self.make_refusal(key, "be a text", "nothing" if value is None else repr(value))
         if not value.isprintable():
-            raise self.refusal(key, "have printable letters only", repr(value))
+            raise self.make_refusal(key, "have printable letters only", repr(value))
         if len(value.encode()) > max_bytes:
-            raise self.refusal(key, f"be at most {max_bytes} bytes long", repr(value))
+            raise self.make_refusal(key, f"be at most {max_bytes} bytes long", repr(value))
         return value
 
-    def choice(self, key: str, choices: tuple[str, ...], default: str) -> str:
+    def read_choice(self, key: str, choices: tuple[str, ...], default: str) -> str:
         """Return one of the choices."""
-        value = self._take(key)
+        value = self._take_value(key)
         if key not in self._data:
             return default
         if value not in choices:
             actual = "nothing" if value is None else repr(value)
-            raise self.refusal(key, "be one of the known", actual, ", ".join(choices))
+            raise self.make_refusal(key, "be one of the known", actual, ", ".join(choices))
         return str(value)
 
     def is_true(self, key: str) -> bool:
         """Return whether the value is true; an absent key is false."""
-        value = self._take(key)
+        value = self._take_value(key)
         if key in self._data and not isinstance(value, bool):
             actual = "nothing" if value is None else repr(value)
-            raise self.refusal(key, "be true or false", actual)
+            raise self.make_refusal(key, "be true or false", actual)
         return bool(value)
 
-    def number(self, number: Number) -> float:
+    def read_number(self, number: Number) -> float:
         """Return a number by its name, or its default."""
-        value = self._take(number.name)
+        value = self._take_value(number.name)
         if number.name not in self._data and number.default is not REQUIRED:
             return number.default  # type: ignore[no-any-return]
-        return number.take(self.where, value, self._name(number.name))
+        return number.check_value(self.where, value, self._write_name(number.name))
 
-    def integer(self, number: Number) -> int:
+    def read_integer(self, number: Number) -> int:
         """Return a whole number by its name, or its default."""
-        return int(self.number(number))
+        return int(self.read_number(number))
 
-    def numbers(self, kind: type[Any]) -> dict[str, Any]:
+    def read_numbers(self, kind: type[Any]) -> dict[str, Any]:
         """Return the numbers that a dataclass declares, by name."""
-        return {name: self.number(number) for name, number in list_numbers(kind).items()}
+        return {name: self.read_number(number) for name, number in list_numbers(kind).items()}
 
-    def vector(self, number: Number, size: int = 3) -> tuple[float, ...] | None:
+    def read_vector(self, number: Number, size: int = 3) -> tuple[float, ...] | None:
         """Return a row of numbers by its name, None if it is absent."""
-        value = self._take(number.name)
+        value = self._take_value(number.name)
         if value is None and number.name not in self._data:
             return None
         rule = f"be {size} {number.range.replace('number', 'numbers', 1)}"
@@ -124,48 +126,48 @@ class Section:
             or len(value) != size
             or not all(map(number.is_in_range, value))
         ):
-            raise self.refusal(number.name, rule, repr(value))
+            raise self.make_refusal(number.name, rule, repr(value))
         return tuple(float(entry) for entry in value)
 
-    def value(self, key: str) -> object:
+    def read_value(self, key: str) -> object:
         """Return the value of a key unchecked, None if it is absent."""
-        return self._take(key)
+        return self._take_value(key)
 
-    def entries(self, key: str) -> list[object]:
+    def read_entries(self, key: str) -> list[object]:
         """Return a list, empty if the key is absent."""
-        value = self._take(key)
+        value = self._take_value(key)
         if key not in self._data:
             return []
         if not isinstance(value, list):
-            raise self.refusal(key, "be a list", repr(value))
+            raise self.make_refusal(key, "be a list", repr(value))
         return value
 
-    def finish(self) -> None:
+    def refuse_unread_keys(self) -> None:
         """Refuse keys that were not read, here and in the sections below.
 
         Raises:
             Refusal: a key is unknown.
         """
         for below in self._sections.values():
-            below.finish()
+            below.refuse_unread_keys()
         for key in self._data:
             if key not in self._read_keys:
                 raise Refusal(
                     self.where,
-                    f"key {self._name(str(key))}",
+                    f"key {self._write_name(str(key))}",
                     "be known",
                     repr(key),
                     ", ".join(sorted(self._read_keys)),
                 )
 
-    def _below(self, key: str, data: dict[str, Any]) -> Section:
+    def _make_section(self, key: str, data: dict[str, Any]) -> Section:
         if key not in self._sections:
-            self._sections[key] = Section(data, self.where, self._name(key))
+            self._sections[key] = Section(data, self.where, self._write_name(key))
         return self._sections[key]
 
-    def _take(self, key: str) -> Any:
+    def _take_value(self, key: str) -> Any:
         self._read_keys.add(key)
         return self._data.get(key)
 
-    def _name(self, key: str) -> str:
+    def _write_name(self, key: str) -> str:
         return f"{self._path}.{key}" if self._path else key

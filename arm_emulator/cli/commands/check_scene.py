@@ -15,7 +15,7 @@ from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.packages import MODES, load_all
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf.urdf_text import parse_urdf
-from arm_emulator.base.warning import warn
+from arm_emulator.base.warning import print_warnings
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output, plain
@@ -96,7 +96,7 @@ def check_scene(name: str) -> CheckedScene:
     scene = load_scene(file)
     _check_links(scene, file)
     for overload in find_overloads(scene):
-        warn(f"{scene.where}: {overload}")
+        print_warnings(f"{scene.where}: {overload}")
     files: dict[str, Path | None] = {}
     missing = []
     for kind in ("servo", "motion"):
@@ -109,7 +109,7 @@ def check_scene(name: str) -> CheckedScene:
         scene.where, scene.joint_names, tuple(scene.assumed), **files, missing=tuple(missing)
     )
     if missing:
-        warn(*scene.warnings)
+        print_warnings(*scene.warnings)
         return checked
     gains = load_gains(file)
     check_fit(scene, gains.servo, gains.motion)
@@ -117,7 +117,7 @@ def check_scene(name: str) -> CheckedScene:
     warn_of_loops(scene, gains.servo)
     for drive_modes in load_all(MODES):
         for text in withheld_words(scene, withheld_modes(scene, gains.servo, drive_modes())):
-            warn(text)
+            print_warnings(text)
     warn_of_gravity(scene, gains.motion)
     return checked
 

@@ -16,8 +16,8 @@ from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.machine.session.record_ring import build_record_ring_unit
 from arm_emulator.motion.model.arm_tree import make_path_unit
 from arm_emulator.ros.c import middleware_unit
-from arm_emulator.runs.servo_step import servo_step_unit
-from arm_emulator.servo.servo_law import servo_unit
+from arm_emulator.runs.servo_step import make_servo_step_unit
+from arm_emulator.servo.servo_law import make_servo_unit
 from arm_emulator.tick.c import tick_unit
 from arm_emulator.toolchain.unit import compile_units
 from emulator_node.c import answered_ticks_unit, real_time_ticks_unit
@@ -60,9 +60,9 @@ def compile_scene(
     code = [
         *of_fleet,
         tick_unit(),
-        servo_unit(),
+        make_servo_unit(),
         make_path_unit(),
-        servo_step_unit(),
+        make_servo_step_unit(),
         build_record_ring_unit(),
     ]
     code += [

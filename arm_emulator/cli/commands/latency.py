@@ -72,8 +72,8 @@ def latency(
         picture: histograms of its lateness.
     """
     for rate in rates:
-        RATE.take("latency", rate)
-    SECONDS.take("latency", seconds)
+        RATE.check_value("latency", rate)
+    SECONDS.check_value("latency", seconds)
     if seconds * min(rates) < FEWEST:
         raise Refusal("latency", "--seconds", f"last {FEWEST} periods of each rate [s]", seconds)
     check_count("latency", "--busy", busy, 0, MAX_BUSY)

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from arm_emulator.base.packages import missing_package
+from arm_emulator.base.packages import refuse_missing_package
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command, load_command
 from arm_emulator.cli.output import output
@@ -66,7 +66,7 @@ def new(
         values[name] = value
     export = load_command("ros2-control") if ros2_control else None
     if ros2_control and export is None:
-        raise missing_package("new", "export")
+        raise refuse_missing_package("new", "export")
     written = write_new(
         robot, out, tool, joints, values, payload=payload, density=density, motor=motor, tree=tree,
         force=force, replace_inertias=replace_inertias, trust_inertias=trust_inertias,

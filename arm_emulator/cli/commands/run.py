@@ -14,7 +14,7 @@ from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.base.packages import find_page_entry
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.run_outputs import NOTHING, RunOutputs
-from arm_emulator.base.warning import issued, warn
+from arm_emulator.base.warning import issued, print_warnings
 from arm_emulator.cli.command import command
 from arm_emulator.cli.new_bag import check_new_bag
 from arm_emulator.cli.options import Keep, PageAt, SceneName, Seconds, TargetFile
@@ -65,7 +65,7 @@ def run(
         page: serve a page with the run afterwards, until Ctrl-C: [HOST:]PORT (0: any that is free).
         bag: new bag with the run, from any moment of which `fork` leads on; needs ROS 2.
     """
-    outputs.check("run")
+    outputs.check_options("run")
     if targets is not None:
         for option, value in (("--displacement", displacement), ("--page", page), ("--bag", bag)):
             if value is not None:
@@ -120,7 +120,7 @@ def _run_table(
         if library is None:
             warn_of_loops(table_run.session.scene, load_gains(find_scene(scene)).servo)
         else:
-            warn(*table_run.session.scene.warnings)
+            print_warnings(*table_run.session.scene.warnings)
         with contextlib.closing(table_run):
             return _report_table(table_run, targets, seconds, outputs), output.collected, issued
 

@@ -17,7 +17,7 @@ from arm_emulator.runs.gains import check_servo, load_gains
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator.servo.servo_law import SERVO
-from arm_emulator.servo.servo_numbers import servo_numbers
+from arm_emulator.servo.servo_numbers import make_servo_numbers
 from arm_emulator.servo.watchdog import count_nanoseconds
 from arm_emulator.toolchain.c_header import Header
 from arm_emulator.toolchain.flags import C_FLAGS
@@ -87,8 +87,8 @@ def write_header(scene_name: str, joint_names: tuple[str, ...], config: ServoCon
     """
     by_name = {joint.name: joint for joint in config.joints}
     joints = tuple(by_name[name] for name in joint_names)
-    rows = servo_numbers(joints, config.period, config.supply_voltage).tolist()
-    fields = SERVO.dtype("servo_joint").names or ()
+    rows = make_servo_numbers(joints, config.period, config.supply_voltage).tolist()
+    fields = SERVO.get_dtype("servo_joint").names or ()
     names = ", ".join(escape_c_string(name) for name in joint_names)
     bodies = ",\n".join(
         f"    {{{', '.join(_format_field(*pair) for pair in zip(fields, row, strict=True))}}}"

@@ -28,7 +28,7 @@ def tcp(
     Args:
         listen: address that clients connect to.
     """
-    outputs.check("tcp")
+    outputs.check_options("tcp")
     host, port = parse_address("tcp", "--listen", listen)
     return serve_clients(
         "tcp",

@@ -37,7 +37,7 @@ def udp(
         listen: address that commands are sent to.
         header: print the datagrams as structs of C, and end.
     """
-    outputs.check("udp")
+    outputs.check_options("udp")
     host, port = parse_address("udp", "--listen", listen)
     machine = load_scene(scene)
     layout = Datagrams(machine)

@@ -28,7 +28,7 @@ def unix_socket(
     Args:
         listen: file that clients connect to.
     """
-    outputs.check("unix-socket")
+    outputs.check_options("unix-socket")
     return serve_clients(
         "unix-socket", load_scene(scene), clock, outputs, page,
         lambda session: UnixSocketServer(session, listen),

@@ -15,7 +15,7 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, PageAt, SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.machine.session.pace import parse_factor
-from arm_emulator.page.page_address import VARIABLE, PageAddress, new_token
+from arm_emulator.page.page_address import VARIABLE, PageAddress, make_token
 from arm_emulator.ros.process.bringup import Bringup
 from arm_emulator.ros.process.ctrl_c import CtrlC
 
@@ -65,10 +65,10 @@ def up(
     if rerun_file:
         streams["rerun_file"] = rerun_file
     if page is not None:
-        address = PageAddress.of(page).free()
+        address = PageAddress.from_text(page).choose_free_port()
         streams |= {"page_host": address.host, "page_port": address.port}
-        os.environ[VARIABLE] = token = new_token()
-        output.facts({"page": address.url(token)})
+        os.environ[VARIABLE] = token = make_token()
+        output.facts({"page": address.write_url(token)})
     if record is not None:
         if record.exists():
             raise Refusal("up", f"folder {record}", "be new", "one that exists")

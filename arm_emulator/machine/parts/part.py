@@ -132,7 +132,7 @@ class Part(Declared):
             if number.follows is not None:
                 reference = values[number.follows]
                 number = dataclasses.replace(number, default=reference, at_least=reference)
-            values[key] = section.number(number)
+            values[key] = section.read_number(number)
         return values
 
     def check_numbers(self, section: Section) -> None:
@@ -167,7 +167,7 @@ class Part(Declared):
         """Return the numbers that a scene may list as varied."""
         of = f"{self.owners}.{joint}.{self.section}"
         return [
-            Varied(self.list_numbers()[key].named(f"{of}.{key}"), value)
+            Varied(self.list_numbers()[key].rename(f"{of}.{key}"), value)
             for key, value in self.list_own_numbers().items()
             if value is not None
         ]

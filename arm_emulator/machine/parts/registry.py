@@ -13,5 +13,5 @@ register_part = _PARTS.register
 
 def list_kinds(base: type[Kind]) -> list[type[Kind]]:
     """Return the registered parts that inherit a class or are it, by their sections."""
-    kinds = [kind for kind in _PARTS.kinds().values() if issubclass(kind, base)]
+    kinds = [kind for kind in _PARTS.list_kinds().values() if issubclass(kind, base)]
     return sorted(kinds, key=lambda kind: kind.section)

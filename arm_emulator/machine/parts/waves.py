@@ -10,7 +10,7 @@ from arm_emulator.machine.parts.key import Key
 
 MAX_WAVES = 16  # waves of a shaft
 _ORDER = Number("order", above=0.0, at_most=1e5)
-_PHASE = Number.within("phase", "rad", 1e4)
+_PHASE = Number.bound_size("phase", "rad", 1e4)
 
 # Waves per turn of the shaft, amplitude, phase [rad].
 Wave = tuple[float, float, float]
@@ -28,19 +28,19 @@ def read_waves(section: Section, key: str, unit: str) -> tuple[Wave, ...]:
     Raises:
         Refusal: no list of waves, or numbers out of their range.
     """
-    entries = section.entries(key)
+    entries = section.read_entries(key)
     if len(entries) > MAX_WAVES:
-        raise section.refusal(key, f"have at most {MAX_WAVES} waves", len(entries))
+        raise section.make_refusal(key, f"have at most {MAX_WAVES} waves", len(entries))
     waves = []
     for entry in entries:
         if not isinstance(entry, list) or len(entry) not in (2, 3):
             rule = f"list waves of [order, amplitude in {unit}] or [order, amplitude, phase]"
-            raise section.refusal(key, rule, repr(entry))
+            raise section.make_refusal(key, rule, repr(entry))
         numbers = [*entry, 0.0][:3]
-        declared = (_ORDER, Number.within("amplitude", unit, 1e3), _PHASE)
+        declared = (_ORDER, Number.bound_size("amplitude", unit, 1e3), _PHASE)
         for number, value in zip(declared, numbers, strict=True):
             if not number.is_in_range(value):
-                raise section.refusal(
+                raise section.make_refusal(
                     key, f"list waves whose {number.name} is a {number.range}", repr(entry)
                 )
         waves.append((float(numbers[0]), float(numbers[1]), float(numbers[2])))

@@ -11,7 +11,7 @@ from arm_emulator.base.validation.joint_order import check_joint_names
 from arm_emulator.machine.plant.core_calls import ARM, PLACES
 from arm_emulator.machine.plant.inputs import list_modes
 from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.toolchain.c_header import CData, Library, text
+from arm_emulator.toolchain.c_header import CData, Library, read_text
 
 LARGEST_STEPS = 10**15  # of one call
 PIECE = 2**20  # steps after which a long call checks for Ctrl-C
@@ -43,21 +43,23 @@ def build_refusal(
         where: name of the refusal.
         otherwise: what was got, where no number of a joint was.
     """
-    why = ARM.new("arm_refusal")
+    why = ARM.make_struct("arm_refusal")
     core.arm_why(machine, why)
     joint = f" of {scene.joint_names[why.joint]}" if why.joint >= 0 else ""
     actual = why.got if why.joint >= 0 else otherwise
-    return Refusal(where, f"{text(why.quantity)}{joint}", text(why.rule), actual)
+    return Refusal(where, f"{read_text(why.quantity)}{joint}", read_text(why.rule), actual)
 
 
 def make_truth(**places: NDArray[Any]) -> CData:
     """Return an ``arm_truth`` whose numbers go to arrays, by their names in `PlantState`."""
-    return ARM.new("arm_truth", **{PLACES.get(name, name): at for name, at in places.items()})
+    return ARM.make_struct(
+        "arm_truth", **{PLACES.get(name, name): at for name, at in places.items()}
+    )
 
 
 def make_commands(scene: Scene) -> NDArray[Any]:
     """Return commands of 0, as the joints' motors take them."""
-    commands = ARM.rows("arm_joint_command", len(scene.joints))
+    commands = ARM.make_rows("arm_joint_command", len(scene.joints))
     commands["mode"] = list_modes(scene)
     commands["enable"] = 1
     return commands
@@ -65,7 +67,7 @@ def make_commands(scene: Scene) -> NDArray[Any]:
 
 def make_options(scene: Scene, values: Array) -> CData:
     """Return the options of a machine; `values` of the varied numbers must outlive them."""
-    return ARM.new(
+    return ARM.make_struct(
         "arm_options",
         core=scene.cores[1],
         step=scene.integrator.dt,

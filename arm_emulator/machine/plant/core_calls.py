@@ -8,8 +8,8 @@ EQUATIONS = Header(BOUNDARY / "equations.h")
 SENSITIVITY = Header(BOUNDARY / "sensitivity.h")
 FIRMWARE = Header(BOUNDARY / "firmware.h")
 
-OK, REFUSED, DIVERGED = map(ARM.constant, ("ARM_OK", "ARM_REFUSED", "ARM_DIVERGED"))
-FAULT_THERMAL = ARM.constant("ARM_FAULT_THERMAL")
+OK, REFUSED, DIVERGED = map(ARM.get_constant, ("ARM_OK", "ARM_REFUSED", "ARM_DIVERGED"))
+FAULT_THERMAL = ARM.get_constant("ARM_FAULT_THERMAL")
 
 # Places of a state in C, by their names in `PlantState` and `FleetState`.
 PLACES = {

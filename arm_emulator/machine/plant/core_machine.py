@@ -27,7 +27,7 @@ from arm_emulator.machine.plant.external_wrench import (
 from arm_emulator.machine.plant.plant_state import ROWS, SET, PlantState, bound_state
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.varied import find_varied
-from arm_emulator.toolchain.c_header import NULL, CData, Library, pointer
+from arm_emulator.toolchain.c_header import NULL, CData, Library, make_pointer
 
 
 @dataclass(frozen=True)
@@ -126,13 +126,13 @@ class CoreMachine(Synchronized):
         """
         where = "Plant.set_parameter"
         number = find_varied(self.scene.varied, name, where)
-        taken = number.number.take(where, value)
+        taken = number.number.check_value(where, value)
         if self.core.arm_set_parameter(self.machine, name.encode(), taken) == REFUSED:
             raise self._make_refusal(where, "another value")
 
     def _get_parameter(self, name: str) -> float:
         value = np.zeros(1)
-        self.core.arm_get_parameter(self.machine, name.encode(), pointer(value))
+        self.core.arm_get_parameter(self.machine, name.encode(), make_pointer(value))
         return float(value[0])
 
     @synchronized
@@ -152,7 +152,7 @@ class CoreMachine(Synchronized):
         where = "Plant.set_external_wrench"
         place, wrench = move_to_moving_link(self.scene, where, link, wrench)
         vectors = {name: getattr(wrench, name) for name in ("point", "force", "moment")}
-        raw = ARM.new("arm_wrench", axes=AXES.index(wrench.axes), **vectors)
+        raw = ARM.make_struct("arm_wrench", axes=AXES.index(wrench.axes), **vectors)
         if self.core.arm_set_external_wrench(self.machine, place, raw) == REFUSED:
             raise self._make_refusal(where, "another one")
 
@@ -163,7 +163,7 @@ class CoreMachine(Synchronized):
         wrenches = {}
         for place, moved in self.scene.chain.bodies.items():
             if self.scene.external_wrench:
-                raw = ARM.new("arm_wrench")
+                raw = ARM.make_struct("arm_wrench")
                 self.core.arm_get_external_wrench(self.machine, place, raw)
                 force, moment, point = map(tuple, (raw.force, raw.moment, raw.point))
                 wrenches[moved.link] = ExternalWrench(force, moment, point, AXES[raw.axes])
@@ -174,7 +174,7 @@ class CoreMachine(Synchronized):
         """Return all that decides how the machine goes on, as bytes that may be kept."""
         size = self.core.arm_saved_size()
         saved = np.zeros(size, np.uint8)
-        self.core.arm_save(self.machine, pointer(saved), size)
+        self.core.arm_save(self.machine, make_pointer(saved), size)
         return saved.tobytes()
 
     @synchronized
@@ -249,7 +249,7 @@ class CoreMachine(Synchronized):
             rule, valid = "be values by names of quantities", ", ".join(self.bounds)
             raise Refusal(where, "given", rule, given, valid)
         for name, values in given.items():
-            rows[name] = self.bounds[name].row(where, values, self._N)
+            rows[name] = self.bounds[name].check_row(where, values, self._N)
         if self.core.arm_set_truth(self.machine, make_truth(**rows)) == REFUSED:
             raise self._make_refusal(where, "another one")
 
@@ -261,7 +261,7 @@ class CoreMachine(Synchronized):
         Two rows, of rad and rad/s or m and m/s.
         """
         point = np.empty(self.core.arm_get_point(self.machine, NULL))
-        self.core.arm_get_point(self.machine, pointer(point))
+        self.core.arm_get_point(self.machine, make_pointer(point))
         inputs = len(self.scene.varied) + sum(
             joint.brake is not None for joint in self.scene.joints
         )
@@ -275,7 +275,7 @@ class CoreMachine(Synchronized):
     def winding_temperatures(self) -> Array:
         """Temperatures of the windings (N,) [degC]; NaN where the scene has no `winding`."""
         temperatures = np.empty(self._N)
-        self.core.arm_get_winding_temperatures(self.machine, pointer(temperatures))
+        self.core.arm_get_winding_temperatures(self.machine, make_pointer(temperatures))
         return temperatures
 
     @property
@@ -283,7 +283,7 @@ class CoreMachine(Synchronized):
     def gear_temperatures(self) -> Array:
         """Temperatures of the gears (N,) [degC]; NaN where the scene has no `gear.thermal`."""
         temperatures = np.empty(self._N)
-        self.core.arm_get_gear_temperatures(self.machine, pointer(temperatures))
+        self.core.arm_get_gear_temperatures(self.machine, make_pointer(temperatures))
         return temperatures
 
     @synchronized
@@ -296,7 +296,7 @@ class CoreMachine(Synchronized):
         loaded = coerce_flag(loaded, "Plant.linear_drives", "loaded")
         K = self.call_equation("arm_linear_drives", loaded, NULL)
         numbers = np.zeros((self._of_machine, 2 + K + (K + 3) * (K + 3)))
-        self.call_equation("arm_linear_drives", loaded, pointer(numbers))
+        self.call_equation("arm_linear_drives", loaded, make_pointer(numbers))
         return [LinearDrive.from_row(row, K) for row in numbers]
 
     def _make_refusal(self, where: str, otherwise: str) -> Refusal:

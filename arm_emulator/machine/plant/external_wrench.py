@@ -75,12 +75,12 @@ def _read_vectors(
     """Return a vector (3,), or of a fleet a row for each arm (arms, 3), turned by a rotation."""
     if values is NONE:  # as where a fault ends, once in every run of a campaign
         return np.zeros((*arms, 3))
-    rows = bound.numbers(where, values) if arms else bound.row(where, values, 3)
+    rows = bound.check_numbers(where, values) if arms else bound.check_row(where, values, 3)
     if arms:
         if rows.shape not in ((3,), (*arms, 3)):
             rule = f"have shape (3,) or ({arms[0]}, 3)"
             raise Refusal(where, bound.name, rule, rows.shape)
-        bound.check(where, rows)
+        bound.check_values(where, rows)
         rows = np.array(np.broadcast_to(rows, (*arms, 3)))
     return rows if R is None else apply_matrix(R, rows) + 0.0
 

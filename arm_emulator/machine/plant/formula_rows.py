@@ -14,7 +14,7 @@ from arm_emulator.base.expression.formula import (
     Margin,
     Signal,
     Window,
-    fold,
+    fold_expression,
 )
 from arm_emulator.core import BOUNDARY
 from arm_emulator.tick.c import FOLDER, FOLDERS
@@ -55,7 +55,7 @@ class FormulaRows:
 
     def add_expression(self, expression: Expression) -> int:
         """Return the row of arithmetic."""
-        return fold(expression, self._add_part)
+        return fold_expression(expression, self._add_part)
 
     def add_formula(self, formula: Formula) -> int:
         """Return the row of the truth value of a formula at one instant, without windows."""
@@ -71,9 +71,9 @@ class FormulaRows:
 
     def make_struct(self) -> NDArray[Any]:
         """Return them as ``formula_row``, one at least."""
-        rows = FORMULA.rows("formula_row", max(1, len(self._rows)))
+        rows = FORMULA.make_rows("formula_row", max(1, len(self._rows)))
         for row, (kind, left, right, value) in zip(rows, self._rows, strict=False):
-            row["kind"] = FORMULA.constant(f"FORMULA_{kind}")
+            row["kind"] = FORMULA.get_constant(f"FORMULA_{kind}")
             row["left"], row["right"], row["value"] = left, right, value
         return rows
 

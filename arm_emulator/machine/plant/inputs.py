@@ -32,7 +32,7 @@ def list_input_units(scene: Scene, name: str) -> tuple[str, ...]:
 
 def list_modes(scene: Scene) -> list[int]:
     """Return the enum arm_mode of each joint's command."""
-    return [ARM.constant(joint.inputs[0].mode) for joint in scene.joints]
+    return [ARM.get_constant(joint.inputs[0].mode) for joint in scene.joints]
 
 
 def check_inputs(where: str, scene: Scene, names: Iterable[str]) -> None:

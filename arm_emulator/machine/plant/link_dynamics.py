@@ -11,16 +11,16 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.bound import POSITION
 from arm_emulator.base.validation.number import Number
-from arm_emulator.toolchain.c_header import pointer
+from arm_emulator.toolchain.c_header import make_pointer
 
 QUANTITIES = {
-    "q": Number.within("q", "rad or m", POSITION.most),
-    "v": Number.within("v", "rad/s or m/s", math.inf),
-    "a": Number.within("a", "rad/s2 or m/s2", math.inf),
-    "tau": Number.within("tau", "N m or N", math.inf),
+    "q": Number.bound_size("q", "rad or m", POSITION.most),
+    "v": Number.bound_size("v", "rad/s or m/s", math.inf),
+    "a": Number.bound_size("a", "rad/s2 or m/s2", math.inf),
+    "tau": Number.bound_size("tau", "N m or N", math.inf),
 }
 RESULTS = {
-    name: Number.within(f"what v, tau or a lead to, {name},", unit, math.inf)
+    name: Number.bound_size(f"what v, tau or a lead to, {name},", unit, math.inf)
     for name, unit in (("a", "rad/s2 or m/s2"), ("tau", "N m or N"), ("nle", "N m or N"))
 }
 _FLOAT = np.dtype(np.float64)
@@ -52,7 +52,7 @@ class LinkDynamics:
         """
         rows = self._convert_rows("accelerations", {"q": q, "v": v, "tau": tau})
         a = np.empty_like(rows[0])
-        self._call("arm_forward_dynamics", a.size // self._N, *map(pointer, (*rows, a)))
+        self._call("arm_forward_dynamics", a.size // self._N, *map(make_pointer, (*rows, a)))
         return _check_finite(a, "accelerations", "a")
 
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
@@ -63,7 +63,7 @@ class LinkDynamics:
         """
         rows = self._convert_rows("inverse_dynamics", {"q": q, "v": v, "a": a})
         tau = np.empty_like(rows[0])
-        self._call("arm_inverse_dynamics", tau.size // self._N, *map(pointer, (*rows, tau)))
+        self._call("arm_inverse_dynamics", tau.size // self._N, *map(make_pointer, (*rows, tau)))
         return _check_finite(tau, "inverse_dynamics", "tau")
 
     def mass_matrix(self, q: ArrayLike) -> Array:
@@ -86,7 +86,7 @@ class LinkDynamics:
 
     def _compute_dynamics(self, q: Array, v: Array) -> tuple[Array, Array]:
         M, nle = np.empty((*q.shape, self._N)), np.empty_like(q)
-        self._call("arm_link_dynamics", q.size // self._N, *map(pointer, (q, v, M, nle)))
+        self._call("arm_link_dynamics", q.size // self._N, *map(make_pointer, (q, v, M, nle)))
         return M, nle
 
     def _convert_rows(self, of: str, arguments: dict[str, ArrayLike]) -> Sequence[Array]:
@@ -107,18 +107,18 @@ class LinkDynamics:
         rows: list[Array] = []
         for quantity, values in arguments.items():
             bound = QUANTITIES[quantity]
-            array = bound.numbers(where, values)
+            array = bound.check_numbers(where, values)
             shape = array.shape
             if len(shape) not in (1, 2) or shape[-1] != self._N:
                 rule = f"have shape (K, {self._N}) or ({self._N},)"
                 raise Refusal(where, quantity, rule, shape)
             if rows and shape != rows[0].shape:
                 raise Refusal(where, quantity, f"have the shape of q, {rows[0].shape}", shape)
-            bound.check(where, array)
+            bound.check_values(where, array)
             rows.append(array)
         return rows
 
 
 def _check_finite(values: Array, of: str, quantity: str) -> Array:
-    RESULTS[quantity].check(f"LinkDynamics.{of}", values)
+    RESULTS[quantity].check_values(f"LinkDynamics.{of}", values)
     return values

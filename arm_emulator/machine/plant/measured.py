@@ -80,9 +80,9 @@ class MeasuredPlace:
         N, M = len(scene.joints), len(scene.imus)
         self._rows = list_rows(scene)
         kinds = {
-            "joint": (ARM.dtype("arm_joint_measurement"), (*arms, N)),
-            "sensors": (ARM.dtype("arm_joint_sensors"), (*arms, N)),
-            "imu": (ARM.dtype("arm_imu_measurement"), (*arms, M)),
+            "joint": (ARM.get_dtype("arm_joint_measurement"), (*arms, N)),
+            "sensors": (ARM.get_dtype("arm_joint_sensors"), (*arms, N)),
+            "imu": (ARM.get_dtype("arm_imu_measurement"), (*arms, M)),
             "current_d": ("f8", (*arms, N)),
             **{array: ("f8", (*arms, len(rows), N)) for array, rows in self._rows.items()},
         }

@@ -41,7 +41,7 @@ from arm_emulator.machine.plant.measured import Measured, MeasuredPlace
 from arm_emulator.machine.plant.plant_state import bound_start, compute_count_angle
 from arm_emulator.machine.scene.scene import Scene, coerce_scene
 from arm_emulator.tick.c import TICK, tick_calls
-from arm_emulator.toolchain.c_header import NULL, Library, pointer
+from arm_emulator.toolchain.c_header import NULL, Library, make_pointer
 
 
 class Plant(CoreMachine):
@@ -83,16 +83,16 @@ class Plant(CoreMachine):
         N = self._N
         self._shape = (N,)
         self._applied = np.zeros(N)
-        self._applied_pointer = pointer(self._applied)
+        self._applied_pointer = make_pointer(self._applied)
         self._commands = make_commands(scene)
         self._further = np.zeros((len(list_further_inputs(scene)), N))
         self._has_further = len(self._further) > 0
         places = {"joint": self._commands, "further": self._further}
-        self.command = ARM.new("arm_command", tick=-1, **places)
+        self.command = ARM.make_struct("arm_command", tick=-1, **places)
         self._place = MeasuredPlace(scene)
         self._measured = self._place.joints
-        self.measurement = ARM.new("arm_measurement", **self._place.arrays)
-        self.ticks = TICK.new(
+        self.measurement = ARM.make_struct("arm_measurement", **self._place.arrays)
+        self.ticks = TICK.make_struct(
             "tick_machine",
             joints=N,
             machine=self.machine,
@@ -151,10 +151,10 @@ class Plant(CoreMachine):
         """
         where, N = "Plant.reset", self._N
         of_q, of_v = self._start_bounds
-        at = of_q.row(where, self.scene.start if q is None else q, N)
-        speed = np.zeros(N) if v is None else of_v.row(where, v, N)
+        at = of_q.check_row(where, self.scene.start if q is None else q, N)
+        speed = np.zeros(N) if v is None else of_v.check_row(where, v, N)
         self.ticks.tick = 0
-        self.core.arm_reset(self.machine, pointer(at), pointer(speed))
+        self.core.arm_reset(self.machine, make_pointer(at), make_pointer(speed))
 
     def advance(self, command: Commands, steps: int) -> None:
         """Take `steps` integration steps with the commands of the motors held.
@@ -234,13 +234,13 @@ class Plant(CoreMachine):
             if command.dtype == np.float64:
                 return command
         ordered = order_by_joint(command, self.scene, where)
-        row = ANY_COMMAND.numbers(where, ordered)
+        row = ANY_COMMAND.check_numbers(where, ordered)
         if row.shape != self._shape:
             raise Refusal(where, "command", f"have shape {self._shape}", row.shape)
         return row
 
     def _convert_further(self, where: str, name: str, command: Commands) -> Array:
-        return ANY_COMMAND.named(name).row(
+        return ANY_COMMAND.rename(name).check_row(
             where, order_by_joint(command, self.scene, where), self._N
         )
 
@@ -335,10 +335,10 @@ class Plant(CoreMachine):
             Refusal: wrong shape, not finite, or no such count; the state is as before.
             Diverged: as `advance`.
         """
-        rows = np.atleast_2d(ANY_COMMANDS.numbers("Plant.run", commands))
+        rows = np.atleast_2d(ANY_COMMANDS.check_numbers("Plant.run", commands))
         if rows.ndim != 2 or rows.shape[1] != self._N:
             raise Refusal("Plant.run", ANY_COMMANDS.name, f"have shape (K, {self._N})", rows.shape)
-        ANY_COMMANDS.check("Plant.run", rows)
+        ANY_COMMANDS.check_values("Plant.run", rows)
         steps = check_count("Plant.run", "steps", steps, 0, LARGEST_STEPS // max(1, len(rows)))
         q = np.zeros_like(rows)
         if steps > PIECE:
@@ -349,7 +349,7 @@ class Plant(CoreMachine):
         at_once = max(1, PIECE // max(1, steps))
         for first in range(0, len(rows), at_once):
             some, began = rows[first : first + at_once], self.t
-            pointers = pointer(some), len(some), steps, pointer(q[first:])
+            pointers = make_pointer(some), len(some), steps, make_pointer(q[first:])
             if self.core.arm_run(self.machine, *pointers) == DIVERGED:
                 done = int((self.t - began) / (max(1, steps) * self.scene.integrator.dt) + 1e-6)
                 raise self._describe_divergence(some[min(done, len(some) - 1)])
@@ -385,8 +385,8 @@ class Plant(CoreMachine):
             Refusal: wrong shape, not finite, or the scene has no `energy_flow`.
         """
         where, out = "Plant.powers", np.zeros((2, self._N))
-        u = ANY_COMMAND.row(where, order_by_joint(command, self.scene, where), self._N)
-        if self.core.arm_powers(self.machine, pointer(u), pointer(out)) == REFUSED:
+        u = ANY_COMMAND.check_row(where, order_by_joint(command, self.scene, where), self._N)
+        if self.core.arm_powers(self.machine, make_pointer(u), make_pointer(out)) == REFUSED:
             raise self._make_refusal(where, "false")
         return EnergyFlow(*out)
 
@@ -404,12 +404,12 @@ class Plant(CoreMachine):
         where = "Plant.advance_metered"
         steps = check_count(where, "steps", steps, 0, LARGEST_STEPS)
         ordered = order_by_joint(command, self.scene, where)
-        self._applied[:] = ANY_COMMAND.row(where, ordered, self._N)
+        self._applied[:] = ANY_COMMAND.check_row(where, ordered, self._N)
         total = np.zeros((2, self._N))
         for first in range(0, steps, PIECE):
             out, count = np.zeros((2, self._N)), min(PIECE, steps - first)
             meter, applied = self.core.arm_advance_metered, self._applied_pointer
-            result = meter(self.machine, applied, count, pointer(out))
+            result = meter(self.machine, applied, count, make_pointer(out))
             if result == REFUSED:
                 raise self._make_refusal(where, "false")
             if result == DIVERGED:
@@ -452,14 +452,21 @@ class Plant(CoreMachine):
         """
         where, N = "Plant.equations", self._of_machine
         u = np.zeros(N)  # to be put within its bounds
-        u[self._places] = ANY_COMMAND.row(
+        u[self._places] = ANY_COMMAND.check_row(
             where, order_by_joint(command, self.scene, where), self._N
         )
         slides = coerce_flag(slides, where, "slides")
         follows = coerce_flag(follows, where, "follows")
         size = N * (self.call_equation("arm_linear_drives", False, NULL) + 2)
-        at = np.zeros(size) if x is None else ANY_STATE.row(where, x, size).copy()
+        at = np.zeros(size) if x is None else ANY_STATE.check_row(where, x, size).copy()
         numbers = np.zeros((size + N) * (size + N + 1) + size)
-        places = pointer(at), pointer(u), x is None, slides, follows, pointer(numbers)
+        places = (
+            make_pointer(at),
+            make_pointer(u),
+            x is None,
+            slides,
+            follows,
+            make_pointer(numbers),
+        )
         self.call_equation("arm_linearise", *places)
         return Equations.from_numbers(at, u, numbers)

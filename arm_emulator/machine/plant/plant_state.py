@@ -56,8 +56,8 @@ def compute_largest_position(scene: Scene) -> Array:
 def bound_start(scene: Scene) -> tuple[Number, Number]:
     """Return bounds of positions and speeds at the start of a motion."""
     return (
-        Number.within("q", "rad or m", compute_largest_position(scene)),
-        Number.within("v", "rad/s or m/s", VELOCITY.most),
+        Number.bound_size("q", "rad or m", compute_largest_position(scene)),
+        Number.bound_size("v", "rad/s or m/s", VELOCITY.most),
     )
 
 
@@ -67,8 +67,8 @@ def bound_state(scene: Scene) -> dict[str, Number]:
     ratio = np.abs(scene.gear_ratios)
     return {
         "current": CURRENT,
-        "theta_m": Number.within("motor position", "rad", largest / ratio),
-        "omega_m": Number.within("motor velocity", "rad/s", VELOCITY.most / ratio),
-        "q": Number.within("position", "rad", largest),
+        "theta_m": Number.bound_size("motor position", "rad", largest / ratio),
+        "omega_m": Number.bound_size("motor velocity", "rad/s", VELOCITY.most / ratio),
+        "q": Number.bound_size("position", "rad", largest),
         "v": VELOCITY,
     }

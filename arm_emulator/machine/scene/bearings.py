@@ -33,7 +33,11 @@ def add_bearings(
     Raises:
         Refusal: a bearing without a direction, or one along the motion of its joint.
     """
-    names = [] if joints is None else [name for name in joints.keys() if _has_bearing(joints, name)]
+    names = (
+        []
+        if joints is None
+        else [name for name in joints.list_keys() if _has_bearing(joints, name)]
+    )
     if not names:
         return robot, ()
     robot = copy.deepcopy(robot)
@@ -43,14 +47,14 @@ def add_bearings(
         assert joints is not None
         if joint.kind in MOVING_KINDS:
             slides, axis = joint.kind == "prismatic", joint.axis
-            kinds = _read_directions(joints.required_section(joint.name), slides, axis)
+            kinds = _read_directions(joints.require_section(joint.name), slides, axis)
             added += _insert_deflections(robot, element, kinds)
     return robot, tuple(added)
 
 
 def _has_bearing(joints: Section, name: str) -> bool:
-    section = joints.section(name)
-    return section is not None and section.has(SECTION)
+    section = joints.get_section(name)
+    return section is not None and section.has_key(SECTION)
 
 
 def _read_directions(
@@ -63,18 +67,20 @@ def _read_directions(
         slides: whether the joint is prismatic.
         axis: of the joint, in its frame.
     """
-    bearing = joint.section(SECTION)
+    bearing = joint.get_section(SECTION)
     assert bearing is not None
-    kinds = [kind for kind in DEFLECTIONS if bearing.has(kind.name_direction())]
+    kinds = [kind for kind in DEFLECTIONS if bearing.has_key(kind.name_direction())]
     if not kinds:
         valid = ", ".join(kind.name_direction() for kind in DEFLECTIONS)
-        raise joint.refusal(SECTION, "give way in one direction or more", "none", valid)
+        raise joint.make_refusal(SECTION, "give way in one direction or more", "none", valid)
     for kind in kinds:
         along = abs(float(axis["xyz".index(kind.axis)]))
         if kind.slides == slides and along > ACROSS:
             rule = "be across the axis of its joint, along which the joint itself moves"
             text = " ".join(f"{number:g}" for number in axis)
-            raise bearing.refusal(kind.name_direction(), rule, f"{kind.axis} with the axis {text}")
+            raise bearing.make_refusal(
+                kind.name_direction(), rule, f"{kind.axis} with the axis {text}"
+            )
     return kinds
 
 

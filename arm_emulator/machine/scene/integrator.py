@@ -46,10 +46,10 @@ class Integrator:
     def read_section(cls, section: Section) -> Self:
         """Read the section."""
         return cls(
-            scheme=section.choice("scheme", SCHEMES, default=SCHEMES[0]),
-            exchange=section.choice("exchange", EXCHANGES, default=EXCHANGES[0]),
-            events=section.choice("events", EVENTS, default=EVENTS[0]),
-            **section.numbers(cls),
+            scheme=section.read_choice("scheme", SCHEMES, default=SCHEMES[0]),
+            exchange=section.read_choice("exchange", EXCHANGES, default=EXCHANGES[0]),
+            events=section.read_choice("events", EVENTS, default=EVENTS[0]),
+            **section.read_numbers(cls),
         )
 
 

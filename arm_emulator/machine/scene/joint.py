@@ -184,9 +184,9 @@ def read_joints(
     Raises:
         Refusal: a joint is missing, does not move, or breaks a rule.
     """
-    section = root.required_section("joints")
+    section = root.require_section("joints")
     names = {joint.name: joint.kind for joint in chain.joints}
-    for key in section.keys():
+    for key in section.list_keys():
         if key not in names:
             raise Refusal(
                 root.where,
@@ -197,7 +197,7 @@ def read_joints(
             )
     joints = []
     for name, kind in names.items():
-        joint_section = section.section(name)
+        joint_section = section.get_section(name)
         if joint_section is None:
             raise Refusal(
                 root.where,
@@ -223,19 +223,19 @@ def read_joint(name: str, kind: str, section: Section, limits: tuple[float, floa
         Refusal: it breaks a rule.
     """
     motor, gear, friction = (
-        section.section("motor"),
-        section.section("gear"),
-        section.section("friction"),
+        section.get_section("motor"),
+        section.get_section("gear"),
+        section.get_section("friction"),
     )
-    of_rotor = None if motor is None else motor.section("friction")
-    brake = section.section(Brake.section)
+    of_rotor = None if motor is None else motor.get_section("friction")
+    brake = section.get_section(Brake.section)
     for key, part in ((Gear.section, gear), (Brake.section, brake)):
         if motor is None and part is not None:
-            raise section.refusal(key, "belong to a joint with a motor", "no motor section")
+            raise section.make_refusal(key, "belong to a joint with a motor", "no motor section")
     driven = None if motor is None else read_motor(motor)
     joint = Joint(
         name=name,
-        **section.numbers(Joint),
+        **section.read_numbers(Joint),
         motor=driven,
         gear=find_gear(ratio=1.0) if gear is None else read_gear(gear),
         gear_stages=read_gear_stages(section),
@@ -249,7 +249,7 @@ def read_joint(name: str, kind: str, section: Section, limits: tuple[float, floa
         extras=read_extras(section, limits),
         bearing=read_bearing(section),
     )
-    section.finish()
+    section.refuse_unread_keys()
     for extra in joint.extras:
         extra.check_parts(joint.parts, section)
     for stage in joint.gear_stages:
@@ -269,4 +269,4 @@ def _check_reflected(motor: Motor, ratio: float, section: Section) -> None:
     for quantity, value in motor.reflect_to_link(ratio).items():
         if value > LARGEST:
             rule = f"make the {quantity} at the link at most {LARGEST:g}"
-            raise section.refusal("gear.ratio", rule, f"{value:.3g} with {ratio:g}")
+            raise section.make_refusal("gear.ratio", rule, f"{value:.3g} with {ratio:g}")

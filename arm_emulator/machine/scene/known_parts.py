@@ -74,12 +74,14 @@ def remove_kind(kinds: Iterable[type[Part]]) -> dict[str, None]:
 def read_motor(section: Section) -> Motor:
     """Return the motor that a section describes."""
     kinds = {motor.kind: motor for motor in MOTORS}
-    return kinds[section.choice("kind", tuple(kinds), default=MOTORS[0].kind)].read_section(section)
+    return kinds[section.read_choice("kind", tuple(kinds), default=MOTORS[0].kind)].read_section(
+        section
+    )
 
 
 def read_decorators(motor: Motor, section: Section) -> tuple[DriveStage, ...]:
     """Return the decorators of a motor's section, innermost first."""
-    sections = ((kind, section.section(kind.section.partition(".")[2])) for kind in DECORATORS)
+    sections = ((kind, section.get_section(kind.section.partition(".")[2])) for kind in DECORATORS)
     return tuple(
         kind.find_kind(motor).read_section(part_section)
         for kind, part_section in sections
@@ -89,19 +91,19 @@ def read_decorators(motor: Motor, section: Section) -> tuple[DriveStage, ...]:
 
 def read_gear(section: Section) -> Gear:
     """Return the gear that a section describes."""
-    kind = next(gear for gear in GEARS if all(map(section.has, gear.named_by)))
+    kind = next(gear for gear in GEARS if all(map(section.has_key, gear.named_by)))
     gear = kind.read_section(section)
     if gear.stiffness is None:
         for key in {key: None for gear in GEARS for key in gear.list_numbers()}:
-            if key not in kind.list_numbers() and section.has(key):
+            if key not in kind.list_numbers() and section.has_key(key):
                 rule = "come with a stiffness (a rigid gear has none)"
-                raise section.refusal(key, rule, "alone")
+                raise section.make_refusal(key, rule, "alone")
     return gear
 
 
 def read_gear_stages(joint: Section) -> tuple[GearStage, ...]:
     """Return the parts within the gear of a joint."""
-    sections = ((kind, joint.below(kind.section)) for kind in GEAR_STAGES)
+    sections = ((kind, joint.find_section(kind.section)) for kind in GEAR_STAGES)
     return tuple(kind.read_section(section) for kind, section in sections if section is not None)
 
 
@@ -134,7 +136,7 @@ def read_extras(joint: Section, limits: tuple[float, float] | None) -> tuple[Joi
     """
     effects = []
     for kind in EXTRAS:
-        section = joint.below(kind.section)
+        section = joint.find_section(kind.section)
         if section is not None:
             kind.put_limits(section, limits)
             effects.append(kind.read_section(section))
@@ -143,5 +145,5 @@ def read_extras(joint: Section, limits: tuple[float, float] | None) -> tuple[Joi
 
 def read_bearing(joint: Section) -> tuple[Deflection, ...]:
     """Return the directions in which the bearing of a joint gives way."""
-    sections = ((kind, joint.below(kind.section)) for kind in DEFLECTIONS)
+    sections = ((kind, joint.find_section(kind.section)) for kind in DEFLECTIONS)
     return tuple(kind.read_section(section) for kind, section in sections if section is not None)

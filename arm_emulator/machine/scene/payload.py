@@ -15,8 +15,8 @@ MASS = Number(
     at_least=0.0,
     text="mass at the tool",
 )
-COM = Number.within("com", "m", 100.0)
-INERTIA = Number.within("inertia", "kg m2", 1e6)
+COM = Number.bound_size("com", "m", 100.0)
+INERTIA = Number.bound_size("inertia", "kg m2", 1e6)
 
 
 @dataclass(frozen=True)
@@ -30,16 +30,16 @@ class Load:
 
 def read_payload(section: Section, mass: float | None = None) -> Body:
     """Return the payload in the frame of the tool; `mass` takes the place of the scene's."""
-    stated = section.number(MASS)
+    stated = section.read_number(MASS)
     mass = stated if mass is None else mass
-    com = section.vector(COM) or (0.0, 0.0, 0.0)
-    entries = section.vector(INERTIA, size=6)
+    com = section.read_vector(COM) or (0.0, 0.0, 0.0)
+    entries = section.read_vector(INERTIA, size=6)
     inertia = np.zeros((3, 3))
     if entries is not None:
         xx, yy, zz, xy, xz, yz = entries
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         check_inertia(inertia, "payload.inertia", section.where)
-    section.finish()
+    section.refuse_unread_keys()
     return Body.from_center(mass, np.array(com), inertia)
 
 

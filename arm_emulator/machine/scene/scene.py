@@ -47,7 +47,7 @@ LARGEST_SEED = 2**53  # whole numbers up to here are exact
 # Meaning of a drive's home offset: from the home position to the zero position, or the reverse.
 HOME_OFFSETS = ("home_to_zero", "zero_to_home")
 
-GRAVITY = Number.within("gravity", "m/s2", 1000.0)
+GRAVITY = Number.bound_size("gravity", "m/s2", 1000.0)
 CORES = Number("cores", at_least=0, at_most=1023, whole=True)
 
 
@@ -247,29 +247,29 @@ def coerce_scene(scene: Scene | str | Path, where: str) -> Scene:
 
 def _build_scene(root: Section, file: Path) -> Scene:
     where = file.name
-    name = check_scene_name(where, root.text("name"))
+    name = check_scene_name(where, root.read_text("name"))
     links = SceneLinks(root, file)
     chain, mass = links.chain, links.payload_mass
-    gravity, numbers = root.vector(GRAVITY), root.numbers(Scene)
+    gravity, numbers = root.read_vector(GRAVITY), root.read_numbers(Scene)
     joints = read_joints(root, chain, links.urdf_file.name, links.limits)
     joints = put_zeros(joints, links.calibration)
-    integrator = Integrator.read_section(root.required_section("integrator"))
+    integrator = Integrator.read_section(root.require_section("integrator"))
     dt = suggest_divisors(numbers["servo_period"], integrator.dt, where)
     integrator = replace(integrator, dt=dt)
     unfit = format_mismatch(integrator, numbers["threads"])
     if unfit is not None:
-        raise root.refusal(*unfit)
+        raise root.make_refusal(*unfit)
     imus = _read_imus(root, chain)
     variable = list_variable_numbers(joints, chain, imus)
-    if root.has(CALIBRATION):
+    if root.has_key(CALIBRATION):
         variable += vary_places(chain, links.calibration)
     varied = _read_varied(root, variable, mass, numbers["seed"])
     possible: dict[str, SceneFault] = {}
-    if root.has("faults"):
+    if root.has_key("faults"):
         names = {number.name for number in varied}
         possible = list_faults(joints, chain, imus, mass, gravity, names)
     rule = "name faults that this scene can have"
-    faults = choose_names(root.entries("faults"), possible, where, "faults", rule)
+    faults = choose_names(root.read_entries("faults"), possible, where, "faults", rule)
     varied += tuple(fault.varied for fault in faults)
     scene = Scene(
         name=name,
@@ -285,7 +285,7 @@ def _build_scene(root: Section, file: Path) -> Scene:
         integrator=integrator,
         external_wrench=root.is_true("external_wrench"),
         energy_flow=root.is_true("energy_flow"),
-        home_offset=root.choice("home_offset", HOME_OFFSETS, HOME_OFFSETS[0]),
+        home_offset=root.read_choice("home_offset", HOME_OFFSETS, HOME_OFFSETS[0]),
         cores=_read_cores(root),
         varied=varied,
         load=_read_varied_load(links, varied, faults, where),
@@ -297,9 +297,9 @@ def _build_scene(root: Section, file: Path) -> Scene:
         **numbers,
     )
     for key in BESIDE:
-        if root.has(key):
-            root.text(key)
-    root.finish()
+        if root.has_key(key):
+            root.read_text(key)
+    root.refuse_unread_keys()
     return scene
 
 
@@ -316,13 +316,13 @@ def _read_varied(
     """
     possible = [*of_parts]
     if mass is not None:
-        possible.append(Varied(MASS.named(MASS_NAME), mass))
-    if root.has("seed") or "seed" in root.entries("varied"):
+        possible.append(Varied(MASS.rename(MASS_NAME), mass))
+    if root.has_key("seed") or "seed" in root.read_entries("varied"):
         seed_number = replace(list_numbers(Scene)["seed"], whole=False)  # one is as good as another
         possible.append(Varied(seed_number, seed))
     by_name = {number.name: number for number in possible}
     rule = "name numbers of this scene that can be varied"
-    return choose_names(root.entries("varied"), by_name, root.where, "varied", rule)
+    return choose_names(root.read_entries("varied"), by_name, root.where, "varied", rule)
 
 
 def _read_varied_load(
@@ -350,29 +350,29 @@ def _read_varied_load(
 def _find_links(root: Section, key: str, robot: ET.Element) -> tuple[str, ...]:
     """Return the links of the URDF that a list names."""
     names = [link.get("name") for link in robot.findall("link")]
-    for name in root.entries(key):
+    for name in root.read_entries(key):
         if name not in names:
-            raise root.refusal(key, "name links of the URDF", name)
-    return tuple(map(str, root.entries(key)))
+            raise root.make_refusal(key, "name links of the URDF", name)
+    return tuple(map(str, root.read_entries(key)))
 
 
 def _read_cores(root: Section) -> tuple[int, int]:
-    cores = root.vector(CORES, size=2)
+    cores = root.read_vector(CORES, size=2)
     if cores is None:
         return -1, -1
     available = os.sched_getaffinity(0)
     if not set(cores) <= available:
         valid = ", ".join(map(str, sorted(available)))
-        raise root.refusal("cores", "be cores of this machine", list(cores), valid)
+        raise root.make_refusal("cores", "be cores of this machine", list(cores), valid)
     return int(cores[0]), int(cores[1])
 
 
 def _read_imus(root: Section, chain: Chain) -> tuple[Imu, ...]:
-    section = root.section("imus")
+    section = root.get_section("imus")
     if section is None:
         return ()
-    for name in section.keys():
+    for name in section.list_keys():
         check_joint_name(root.where, "name in imus", name)
     return tuple(
-        Imu.read_section(name, section.required_section(name), chain) for name in section.keys()
+        Imu.read_section(name, section.require_section(name), chain) for name in section.list_keys()
     )

@@ -49,23 +49,23 @@ class SceneLinks:
     """
 
     def __init__(self, root: Section, file: Path) -> None:
-        self.urdf_file = find_urdf(root.text("urdf"), file)
+        self.urdf_file = find_urdf(root.read_text("urdf"), file)
         self.urdf = read_urdf(self.urdf_file)
         self.robot = parse_urdf(self.urdf, self.urdf_file.name)
-        self.tool, self._where = root.text("tool"), file.name
-        self._payload = root.section("payload")
-        locked = root.section("locked")
+        self.tool, self._where = root.read_text("tool"), file.name
+        self._payload = root.get_section("payload")
+        locked = root.get_section("locked")
         self._locked = (
             {}
             if locked is None
-            else {key: locked.number(LOCKED.named(key)) for key in locked.keys()}
+            else {key: locked.read_number(LOCKED.rename(key)) for key in locked.list_keys()}
         )
         body = None if self._payload is None else read_payload(self._payload)
         self.payload_mass = None if body is None else body.mass
-        _apply_coupling(root.section("couplings"), self.robot)
+        _apply_coupling(root.get_section("couplings"), self.robot)
         self._true_robot = self.robot
-        self.calibration = self._calibrate_robot(root.section("calibration"), file)
-        joints = root.section("joints")
+        self.calibration = self._calibrate_robot(root.get_section("calibration"), file)
+        joints = root.get_section("joints")
         self._true_robot, self._deflections = add_bearings(
             self._true_robot, joints, self.urdf_file.name
         )
@@ -73,7 +73,7 @@ class SceneLinks:
         twice = None if body is None else self._read_chain(body.scale_mass(2.0))
         self.bare = _remove_payload(self.chain, twice)
         locks = lock_joints(self.robot, self._locked, self.urdf_file.name)
-        if locks or root.has("couplings"):
+        if locks or root.has_key("couplings"):
             self.urdf = ET.tostring(self.robot, encoding="unicode")
         self.true_urdf = self.urdf
         if self._true_robot is not self.robot:
@@ -133,12 +133,12 @@ def _apply_coupling(section: Section | None, robot: ET.Element) -> None:
     if section is None:
         return
     joints = {joint.get("name", ""): joint for joint in robot.findall("joint")}
-    for name in section.keys():
-        shares = section.required_section(name)
+    for name in section.list_keys():
+        shares = section.require_section(name)
         if name not in joints:
-            raise section.refusal(name, "be a joint of the URDF", name)
+            raise section.make_refusal(name, "be a joint of the URDF", name)
         for old in [*joints[name].findall("mimic"), *joints[name].findall("coupling")]:
             joints[name].remove(old)
-        for shaft in shares.keys():
-            share = shares.number(SHARE.named(shaft))
+        for shaft in shares.list_keys():
+            share = shares.read_number(SHARE.rename(shaft))
             ET.SubElement(joints[name], "coupling", joint=shaft, multiplier=repr(share))

@@ -16,11 +16,11 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf.couplings import Coupling, list_followers, read_coupling
 from arm_emulator.base.urdf.frames import (
     Frame,
-    clean,
     compute_atan2,
     compute_cross,
-    rpy_of,
-    turn,
+    compute_rotation,
+    compute_rpy,
+    round_rotation,
 )
 from arm_emulator.base.urdf.joint_tree import (
     FREE_KINDS,
@@ -195,7 +195,7 @@ def lock_joints(robot: ET.Element, locked: Mapping[str, float], where: str) -> b
             for old in element.findall(tag):
                 element.remove(old)
         element.set("type", "fixed")
-        xyz, rpy = (" ".join(map(repr, map(float, a))) for a in (frame.p, rpy_of(frame.R)))
+        xyz, rpy = (" ".join(map(repr, map(float, a))) for a in (frame.p, compute_rpy(frame.R)))
         ET.SubElement(element, "origin", xyz=xyz, rpy=rpy)
     return complete_limits(robot, where) or bool(locked)
 
@@ -282,28 +282,31 @@ def _assemble_chain(
             gammas.append(0.0)
             continue
         moved = moving[index + 1]
-        z_next = clean(apply_matrix(multiply_matrices(here.T, moved.placement.R), moved.joint.axis))
+        z_next = round_rotation(
+            apply_matrix(multiply_matrices(here.T, moved.placement.R), moved.joint.axis)
+        )
         gammas.append(compute_atan2(float(z_next[0]), -float(z_next[1])))
     turned = [
-        clean(multiply_matrices(e, turn(2, gamma))) for e, gamma in zip(E, gammas, strict=True)
+        round_rotation(multiply_matrices(e, compute_rotation(2, gamma)))
+        for e, gamma in zip(E, gammas, strict=True)
     ]
-    R_WB = clean(multiply_matrices(moving[0].placement.R, E[0]))
+    R_WB = round_rotation(multiply_matrices(moving[0].placement.R, E[0]))
     joints = []
     for index, moved in enumerate(moving):
         cos_gamma, sin_gamma = 1.0, 0.0
         if index == 0:
             # The base's turn is free: with z along the first joint, that joint needs no tilt.
-            R, p = turn(2, gammas[0]), apply_matrix(R_WB.T, moved.placement.p)
+            R, p = compute_rotation(2, gammas[0]), apply_matrix(R_WB.T, moved.placement.p)
         else:
             before = turned[moved.parent] if moved.parent >= 0 else R_WB
-            R = clean(multiply_matrices(before.T, moved.placement.R, turned[index]))
+            R = round_rotation(multiply_matrices(before.T, moved.placement.R, turned[index]))
             p = apply_matrix(before.T, moved.placement.p)
             if moved.parent != index - 1:
                 x, y = float(R[0, 2]), -float(R[1, 2])
                 if (length := math.hypot(x, y)) > 0.0:
                     cos_gamma, sin_gamma = y / length, x / length
                 back = ((cos_gamma, sin_gamma, 0.0), (-sin_gamma, cos_gamma, 0.0), (0.0, 0.0, 1.0))
-                R = clean(multiply_matrices(np.array(back), R))
+                R = round_rotation(multiply_matrices(np.array(back), R))
         # R = Rx(alpha) Rz(theta_0): its third column is (0, -sin alpha, cos alpha), its first row
         # (cos theta_0, -sin theta_0, 0).
         joints.append(
@@ -372,4 +375,4 @@ def _build_frame_with_z(axis: Array) -> Array:
     helper = np.eye(3)[int(np.argmin(np.abs(z)))]
     x = helper - apply_matrix(helper[None], z) * z
     x = x / measure_length(x)
-    return clean(np.column_stack([x, np.cross(z, x), z]))
+    return round_rotation(np.column_stack([x, np.cross(z, x), z]))

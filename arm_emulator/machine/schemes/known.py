@@ -10,6 +10,6 @@ def _get_rank(scheme: type[Scheme]) -> tuple[bool, int, int, str]:
 
 
 # By name; the first is the default.
-KNOWN = {value.name: value for value in sorted(SCHEME_KINDS.kinds().values(), key=_get_rank)}
+KNOWN = {value.name: value for value in sorted(SCHEME_KINDS.list_kinds().values(), key=_get_rank)}
 SCHEMES = tuple(KNOWN)
 LOCATING_SCHEMES = tuple(name for name, kind in KNOWN.items() if kind.locates)

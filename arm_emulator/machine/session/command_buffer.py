@@ -13,10 +13,11 @@ from arm_emulator.base.validation.joint_order import JointOrder
 from arm_emulator.machine.plant.inputs import arrange_further_rows, list_further_inputs
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.tick.c import COMMAND_BUFFER, tick_calls
-from arm_emulator.toolchain.c_header import pointer
+from arm_emulator.toolchain.c_header import make_pointer
 
 NEW, BEFORE_RESET, FUTURE, STALE = (
-    COMMAND_BUFFER.constant(f"ANSWER_{name}") for name in ("NEW", "BEFORE_RESET", "FUTURE", "STALE")
+    COMMAND_BUFFER.get_constant(f"ANSWER_{name}")
+    for name in ("NEW", "BEFORE_RESET", "FUTURE", "STALE")
 )
 _SAVED_FIELDS = ("left", "known", "tick", "tick_before")  # fields beside the commands
 
@@ -52,7 +53,7 @@ class CommandBuffer:
         shape = 1 + len(self.inputs), len(scene.joint_names)
         self._zero, self._newest, self._before = np.zeros((3, *shape))
         self._take = tick_calls().tick_answers_take
-        self.pointer = COMMAND_BUFFER.new(
+        self.pointer = COMMAND_BUFFER.make_struct(
             "tick_answers",
             lockstep=lockstep,
             numbers=self._zero.size,
@@ -121,7 +122,7 @@ class CommandBuffer:
         rows = self.arrange_rows(joint_names, command, further)
         newest_tick = self.pointer.tick
         # Messages have room for ticks that the core's integer has not: they are of the future.
-        result = self._take(self.pointer, now, min(tick, LARGEST), pointer(rows))
+        result = self._take(self.pointer, now, min(tick, LARGEST), make_pointer(rows))
         if result == NEW:
             return rows
         not_after, not_before = (
@@ -150,11 +151,11 @@ class CommandBuffer:
         Raises:
             Refusal: see `Session.offer`.
         """
-        row = self._order.arrange(joint_names, command, COMMAND)
+        row = self._order.arrange_values(joint_names, command, COMMAND)
         if not further and not self.inputs:
             return row[np.newaxis]
         inputs = {
-            name: self._order.arrange(joint_names, values, COMMAND.named(name))
+            name: self._order.arrange_values(joint_names, values, COMMAND.rename(name))
             for name, values in further.items()
         }
         others = arrange_further_rows("motor_commands", self._scene, inputs)

@@ -14,7 +14,7 @@ from arm_emulator.machine.plant.core_calls import ARM, FIRMWARE
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.session.control_code import ControlCode
 from arm_emulator.tick.c import FIRMWARE_CONTROLLER, tick_calls
-from arm_emulator.toolchain.c_header import CData, Library, text
+from arm_emulator.toolchain.c_header import CData, Library, read_text
 from arm_emulator.toolchain.elf import (
     explain_no_library,
     find_address,
@@ -23,7 +23,7 @@ from arm_emulator.toolchain.elf import (
 )
 
 ENTRY = "arm_firmware"
-VERSION = FIRMWARE.constant("FIRMWARE_VERSION")
+VERSION = FIRMWARE.get_constant("FIRMWARE_VERSION")
 LARGEST = 2**28  # bytes of a library
 
 
@@ -55,7 +55,7 @@ class RunningCode(enum.IntEnum):
 def make_progress(memory: mmap.mmap | None = None) -> CData:
     """Return a ``firmware_progress``, in memory that others share if some is given."""
     if memory is None:
-        return FIRMWARE_CONTROLLER.new("firmware_progress")
+        return FIRMWARE_CONTROLLER.make_struct("firmware_progress")
     return FIRMWARE_CONTROLLER.ffi.from_buffer("firmware_progress *", memory)
 
 
@@ -113,12 +113,12 @@ class Firmware(ControlCode):
         if not self._firmware.start:
             return
         N = len(plant.scene.joints)
-        self._joints = ARM.rows("arm_joint_description", N)  # the code may keep a pointer
-        self._joints["size"] = ARM.sizeof("arm_joint_description")
-        described = ARM.pointer("arm_joint_description", self._joints)
+        self._joints = ARM.make_rows("arm_joint_description", N)  # the code may keep a pointer
+        self._joints["size"] = ARM.get_size("arm_joint_description")
+        described = ARM.make_pointer("arm_joint_description", self._joints)
         for index in range(N):
             plant.core.arm_describe_joint(index, described + index)
-        self._machine = FIRMWARE.new(
+        self._machine = FIRMWARE.make_struct(
             "firmware_machine",
             joints=N,
             period=period_ns,
@@ -129,7 +129,7 @@ class Firmware(ControlCode):
         reason = self._firmware.start(self._machine)
         self.progress.doing = RunningCode.OURS
         if reason:
-            raise Refusal(self.name, "start", f"take scene {plant.scene.name}", text(reason))
+            raise Refusal(self.name, "start", f"take scene {plant.scene.name}", read_text(reason))
 
     def save(self) -> bytes:
         """Return the variables of the library.

@@ -35,8 +35,8 @@ class FirmwareLoop:
         self._plant = plant
         calls = tick_calls()
         self._run, self._stops = calls.tick_run, calls.tick_stops
-        self.pointer = code.struct or FIRMWARE_CONTROLLER.new("firmware_controller")
-        FIRMWARE_CONTROLLER.fill(
+        self.pointer = code.struct or FIRMWARE_CONTROLLER.make_struct("firmware_controller")
+        FIRMWARE_CONTROLLER.fill_struct(
             self.pointer,
             step=code.step,
             joint=plant.command.joint,
@@ -47,7 +47,7 @@ class FirmwareLoop:
         )
         with_ = {"with": TICK.ffi.cast("void *", self.pointer)}
         answer = calls.firmware_controller_answer
-        self._controller = TICK.new("tick_controller", answer=answer, **with_)
+        self._controller = TICK.make_struct("tick_controller", answer=answer, **with_)
         self.set_targets(targets or ((), np.zeros((0, len(plant.scene.joints)))))
 
     def set_targets(self, targets: tuple[Sequence[int], Array]) -> None:
@@ -58,7 +58,7 @@ class FirmwareLoop:
     def _set_rows(self, row_tick: NDArray[np.int64], rows: Array, row: int) -> None:
         """Let these rows be the targets, which stay where they are, from one of them on."""
         self._row_tick, self._rows = row_tick, rows
-        FIRMWARE_CONTROLLER.fill(
+        FIRMWARE_CONTROLLER.fill_struct(
             self.pointer, row_tick=row_tick, rows=rows, row_count=len(row_tick), row=row
         )
 
@@ -80,7 +80,7 @@ class FirmwareLoop:
         room = FIRMWARE_CONTROLLER.ffi.buffer
         further = 8 * self._plant.commanded[1:].size
         return (
-            room(command.joint, joints * ARM.sizeof("arm_joint_command")),
+            room(command.joint, joints * ARM.get_size("arm_joint_command")),
             room(command.further, further),
         )
 

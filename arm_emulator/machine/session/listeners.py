@@ -20,7 +20,7 @@ def add_listener(plant: Plant, call: Any, with_: Any) -> None:
     """
     with plant.turn:
         if plant not in _all:
-            _all[plant] = LISTENERS.new("listeners")
+            _all[plant] = LISTENERS.make_struct("listeners")
         every = _all[plant]
         added = record_ring().listeners_add(every, call, with_)
         assert added, "a machine has few listeners"

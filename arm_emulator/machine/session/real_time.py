@@ -61,7 +61,7 @@ class RealTimeLoop(Clock, Synchronized):
         self.running, self._spent_ns = False, 0
         self._N = N = len(plant.scene.joints)
         self._calls = load_real_time()
-        options = REAL_TIME.new(
+        options = REAL_TIME.make_struct(
             "arm_real_time_options",
             at=plant.ticks,
             join_schedule=plant.core.arm_join_schedule,
@@ -76,14 +76,14 @@ class RealTimeLoop(Clock, Synchronized):
         self.descriptor = self._calls.arm_real_time_descriptor(self.handle)
         self._energy, self._rows = np.zeros(1), np.zeros((len(ROWS), N))
         self._place = MeasuredPlace(plant.scene)
-        self._snapshot = REAL_TIME.new("arm_snapshot", **self._place.arrays)
+        self._snapshot = REAL_TIME.make_struct("arm_snapshot", **self._place.arrays)
         places = {PLACES.get(name, name): row for name, row in zip(ROWS, self._rows, strict=True)}
         truth = ARM.ffi.addressof(self._snapshot, "truth")
-        ARM.fill(truth, energy=self._energy, **places)
+        ARM.fill_struct(truth, energy=self._energy, **places)
         self._commands = make_commands(plant.scene)
         self._further = np.zeros((len(list_further_inputs(plant.scene)), N))
         places = {"joint": self._commands, "further": self._further}
-        self._command = ARM.new("arm_command", tick=-1, **places)
+        self._command = ARM.make_struct("arm_command", tick=-1, **places)
 
     def __del__(self) -> None:
         loop, self.handle = getattr(self, "handle", None), None
@@ -101,7 +101,7 @@ class RealTimeLoop(Clock, Synchronized):
     @property
     def figures(self) -> RealTimeFigures:
         """Punctuality."""
-        figures = REAL_TIME.new("arm_real_time_figures")
+        figures = REAL_TIME.make_struct("arm_real_time_figures")
         self._calls.arm_real_time_get_figures(self.handle, figures)
         return RealTimeFigures(
             **{field.name: getattr(figures, field.name) for field in fields(RealTimeFigures)}
@@ -145,7 +145,7 @@ class RealTimeLoop(Clock, Synchronized):
         """
         where = "RealTimeLoop.hold_command"
         check_count(where, "answered", answered, -1)
-        self._commands["value"] = COMMAND.row(where, command, self._N)
+        self._commands["value"] = COMMAND.check_row(where, command, self._N)
         self._further[:] = 0.0 if further is None else further
         self._command.tick = answered
         self._calls.arm_real_time_command(self.handle, self._command)

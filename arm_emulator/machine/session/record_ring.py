@@ -40,7 +40,7 @@ class SharedRing:
 
     def __init__(self, descriptor: int, kind: np.dtype[Any]) -> None:
         self._memory = mmap.mmap(descriptor, SharedRing.compute_size(kind))
-        head = RING.sizeof("record_ring")
+        head = RING.get_size("record_ring")
         self.pointer = RING.ffi.cast("record_ring *", RING.ffi.from_buffer(self._memory))
         self.rows: Rows = np.frombuffer(self._memory, kind, CAPACITY, head)
         self._calls = record_ring()
@@ -48,7 +48,7 @@ class SharedRing:
     @staticmethod
     def compute_size(kind: np.dtype[Any]) -> int:
         """Return the bytes of a ring."""
-        return RING.sizeof("record_ring") + CAPACITY * kind.itemsize
+        return RING.get_size("record_ring") + CAPACITY * kind.itemsize
 
     @property
     def dropped(self) -> int:
@@ -82,7 +82,7 @@ class RingWriter:
     def __init__(self, ring: SharedRing, core: Library, row: Any, reader: int, waits: bool) -> None:
         self._keeps = ring, row  # what the struct points to
         self.take = record_ring().record_take
-        self.struct = RING.new(
+        self.struct = RING.make_struct(
             "record_writer",
             waits=waits,
             reader=reader,

@@ -36,7 +36,7 @@ class RecordRow(Synchronized):
         self.rows = rows = np.zeros(1, build_row_type(plant.scene))
         self.truth = make_truth(energy=rows["energy"], **{name: rows[name][0] for name in ROWS})
         places = {name: rows[name][0] for name in (*STRUCTS, "current_d", *list_rows(plant.scene))}
-        self.measurement = ARM.new("arm_measurement", **places)
+        self.measurement = ARM.make_struct("arm_measurement", **places)
 
     @synchronized
     def take_row(self) -> Rows:
@@ -57,7 +57,7 @@ def build_row_type(scene: Scene) -> np.dtype[np.void]:
     return np.dtype([
         ("t", "f8"), ("tick", "i8"), ("energy", "f8"),
         *[(name, "f8", (N,)) for name in ROWS],
-        *[(name, ARM.dtype(f"arm_{kind}"), (counts[name],)) for name, kind in kinds.items()],
+        *[(name, ARM.get_dtype(f"arm_{kind}"), (counts[name],)) for name, kind in kinds.items()],
         ("current_d", "f8", (N,)),
         *[(array, "f8", (len(names), N)) for array, names in list_rows(scene).items()],
     ])  # fmt: skip

@@ -8,7 +8,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.machine.plant.formula_rows import TOOL_POSITION, formula_library
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.varied_places import displace_joint
-from arm_emulator.toolchain.c_header import pointer
+from arm_emulator.toolchain.c_header import make_pointer
 
 TOOL = ("tool.x", "tool.y", "tool.z")  # position in the world [m]
 
@@ -41,7 +41,7 @@ class ToolChain:
         last, frame = chain.place_of(scene.tool)
         path = chain.find_path(last)[::-1]
         self._shares = np.ascontiguousarray(chain.coupling.C[path])
-        self._joints = TOOL_POSITION.rows("tool_joint", len(path))
+        self._joints = TOOL_POSITION.make_rows("tool_joint", len(path))
         first, stride = self._shares.__array_interface__["data"][0], self._shares.strides[0]
         for place, (row, number) in enumerate(zip(self._joints, path, strict=True)):
             link = displace_joint(chain.links[number], scene.calibration, values or {})
@@ -50,7 +50,7 @@ class ToolChain:
             for name in ("theta_0", "cos_alpha", "sin_alpha", "cos_gamma", "sin_gamma", "p"):
                 row[name] = getattr(link, name)
             row["slides"] = link.kind == "prismatic"
-        self.struct = TOOL_POSITION.new(
+        self.struct = TOOL_POSITION.make_struct(
             "tool_chain",
             joints=len(path),
             joint=self._joints,
@@ -64,6 +64,6 @@ class ToolChain:
         q = np.ascontiguousarray(q, np.float64)
         p_WT = np.empty((3, q.shape[1]))
         if p_WT.size:
-            places = pointer(q), q.shape[1], q.shape[1], pointer(p_WT)
+            places = make_pointer(q), q.shape[1], q.shape[1], make_pointer(p_WT)
             formula_library().tool_positions(self.struct, *places)
         return p_WT

@@ -66,7 +66,7 @@ class CollisionShapes(SharedObject):
         """Largest travel of each shape per joint (shapes, joints) [m/rad, m/m]."""
         low = np.array([max(self._read_lower(joint), -np.pi) for joint in joints])
         high = np.array([min(self._read_upper(joint), np.pi) for joint in joints])
-        self.low, self.high = self._shafts.positions(low, high)
+        self.low, self.high = self._shafts.bound_positions(low, high)
         """Limits within a turn (N,)."""
 
     @property
@@ -82,7 +82,7 @@ class CollisionShapes(SharedObject):
 
     def compute_configuration(self, q: Array) -> Array:
         """Return Pinocchio's configuration at q (..., N)."""
-        angles = self._shafts.of_joints(q)
+        angles = self._shafts.convert_to_joints(q)
         configuration: Array = np.tile(self._neutral, (*angles.shape[:-1], 1))
         turning, places = self._turning, self._places
         configuration[..., places] = np.where(turning, np.cos(angles), angles)

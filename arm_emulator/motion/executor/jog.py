@@ -17,8 +17,8 @@ from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
 
 UNITLESS = "unitless"
-_SPEED = VELOCITY.named("velocities")
-_TWIST = VELOCITY.named("twist")
+_SPEED = VELOCITY.rename("velocities")
+_TWIST = VELOCITY.rename("twist")
 
 
 class JogStatus(enum.IntEnum):
@@ -67,7 +67,7 @@ def make_twist_command(
         Refusal: an unknown link, numbers that are not finite, or a turn where the task does not
             rule it.
     """
-    values = _TWIST.row("delta_twist_cmds", twist, POSE_ROWS)
+    values = _TWIST.check_row("delta_twist_cmds", twist, POSE_ROWS)
     if not kinematics.has_orientation and values[POSITION_ROWS:].any():
         rule = "be 0 with a task of 3 rows (task: position)"
         raise Refusal("delta_twist_cmds", "twist.angular", rule, values[POSITION_ROWS:].tolist())
@@ -101,7 +101,7 @@ def make_joint_command(
     check_joints_exist(where, names, arm_joints)
     if len(set(names)) != len(names) or not names:
         raise Refusal(where, "joint_names", "name joints, each once", list(names))
-    values = _SPEED.row(where, velocities, len(names))
+    values = _SPEED.check_row(where, velocities, len(names))
     speeds = np.zeros(len(arm_joints))
     scale = config.jog_scale_joint if config.jog_command_in_type == UNITLESS else 1.0
     speeds[[arm_joints.index(name) for name in names]] = scale * values

@@ -38,10 +38,10 @@ from arm_emulator.motion.planner.tool_controller import Controller
 from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
 from arm_emulator.motion.trajectory.tolerances import Tolerances
 
-_Q = POSITION.named("q")
-_Q_TARGET = POSITION.named("q_target")
-_V_TARGET = VELOCITY.named("v_target")
-_TAU = EFFORT.named("tau_feedforward")
+_Q = POSITION.rename("q")
+_Q_TARGET = POSITION.rename("q_target")
+_V_TARGET = VELOCITY.rename("v_target")
+_TAU = EFFORT.rename("tau_feedforward")
 
 
 class MotionExecutor:
@@ -224,7 +224,7 @@ class MotionExecutor:
         Raises:
             Refusal: q is not finite or too large; nothing has changed then.
         """
-        _Q.check("motion_controller", q.tolist())
+        _Q.check_values("motion_controller", q.tolist())
         controllers = self._get_controllers(controller)
         if movable is not None and not movable.all():
             controllers.feedforward.reset_estimate()  # the measured positions hold, whatever was commanded
@@ -247,7 +247,7 @@ class MotionExecutor:
             answer = instruction.q, instruction.v, instruction.tau
             for bound, values in zip((_Q_TARGET, _V_TARGET, _TAU), answer, strict=True):
                 if values is not None:
-                    bound.check("motion_controller", values.tolist())
+                    bound.check_values("motion_controller", values.tolist())
         except (Refusal, ArithmeticError, np.linalg.LinAlgError) as error:
             # q is within its bound and orders were checked on arrival. The cause is this object's
             # state, or a robot description with impossible numbers.

@@ -20,7 +20,7 @@ from arm_emulator.motion.model.kinematics import (
     find_tool_frame,
 )
 from arm_emulator.motion.model.pinocchio_model import JOINT, WHERE
-from arm_emulator.toolchain.c_header import NULL, CData, Header, pointer
+from arm_emulator.toolchain.c_header import NULL, CData, Header, make_pointer
 from arm_emulator.toolchain.flags import CPP_FLAGS
 from arm_emulator.toolchain.unit import Unit, compile_once
 
@@ -91,7 +91,7 @@ class ArmTree(SharedObject):
             "tool_rotation": _copy_array(frame.placement.rotation),
             "tool_place": _copy_array(frame.placement.translation),
         }
-        self.struct: CData = PATH_HEADER.new(
+        self.struct: CData = PATH_HEADER.make_struct(
             "path_arm",
             joints=len(chain),
             coordinates=len(names),
@@ -106,7 +106,9 @@ class ArmTree(SharedObject):
         """Return tool positions (K, 3) [m] and rotations (K, 3, 3) of configurations (K, N)."""
         q = self._compute_joints(q)
         p, R = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
-        self._library.path_forward(self.struct, len(q), pointer(q), pointer(p), pointer(R))
+        self._library.path_forward(
+            self.struct, len(q), make_pointer(q), make_pointer(p), make_pointer(R)
+        )
         return p, R
 
     def compute_torques(self, q: Array, v: Array, a: Array) -> Array:
@@ -114,7 +116,7 @@ class ArmTree(SharedObject):
         q = self._compute_joints(q)
         v, a = (np.ascontiguousarray(rate @ self._coupling.T) for rate in (v, a))
         tau = np.empty_like(q)
-        self._library.path_torques(self.struct, len(q), *map(pointer, (q, v, a, tau)))
+        self._library.path_torques(self.struct, len(q), *map(make_pointer, (q, v, a, tau)))
         return np.asarray(tau @ self._coupling)
 
     def trace_poses(
@@ -142,10 +144,10 @@ class ArmTree(SharedObject):
             self.struct,
             self.kinematics.rows if rotates_evenly else POSITION_ROWS,
             len(p),
-            pointer(p),
-            pointer(R),
-            NULL if end is None else pointer(end),
-            pointer(q),
+            make_pointer(p),
+            make_pointer(R),
+            NULL if end is None else make_pointer(end),
+            make_pointer(q),
         )
         return q[: reached + 1]
 

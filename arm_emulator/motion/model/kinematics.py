@@ -27,9 +27,11 @@ from arm_emulator.motion.model.pinocchio_model import (
 )
 from arm_emulator.motion.model.pose import Pose
 
-_Q = POSITION.named("q")
-_REACH = TOOL_POSITION.named("the length of the arm")
-_TARGET_ROTATION = Number.within("the rotation", "", 1.001)  # no entry is larger, up to rounding
+_Q = POSITION.rename("q")
+_REACH = TOOL_POSITION.rename("the length of the arm")
+_TARGET_ROTATION = Number.bound_size(
+    "the rotation", "", 1.001
+)  # no entry is larger, up to rounding
 
 # A joint of a redundant arm that is so many times as slow as the others is spared, in proportion.
 SLOW, MIN_SHARE = 10.0, 0.1
@@ -114,18 +116,18 @@ class Kinematics(SharedObject):
         self.lower, self.upper = self._read_position_limits()
         rates = read_rate_limits(urdf_xml)
         moved = [rates[name] for name in self.shafts.joints]
-        self.velocity_limit = self.shafts.bound(np.array([limit.velocity for limit in moved]))
-        self.acceleration_limit = self.shafts.bound(
+        self.velocity_limit = self.shafts.bound_rates(np.array([limit.velocity for limit in moved]))
+        self.acceleration_limit = self.shafts.bound_rates(
             np.array([limit.acceleration for limit in moved])
         )
         # Limit of a drive: a torque of its shaft, whichever joints it moves.
         self.effort_limit = np.array([rates[name].effort for name in self.joint_names])
         self.reach = self._measure_reach()
-        _REACH.check("robot_description", [self.reach])
+        _REACH.check_values("robot_description", [self.reach])
         pin.framesForwardKinematics(self.model, self._data, self._neutral)
         R_WT, p_WT = self._data.oMf[self._frame].rotation, self._data.oMf[self._frame].translation
-        TOOL_POSITION.named("tool").check("robot_description", p_WT.tolist())
-        _TARGET_ROTATION.check("robot_description", np.ravel(R_WT).tolist())
+        TOOL_POSITION.rename("tool").check_values("robot_description", p_WT.tolist())
+        _TARGET_ROTATION.check_values("robot_description", np.ravel(R_WT).tolist())
         self.links = tuple(list_links(self.model))
         self.base = self.links[0]
         self.scale = np.ones(self.rows)
@@ -197,7 +199,7 @@ class Kinematics(SharedObject):
         )
         J = np.reshape(J, (POSE_ROWS, -1))  # of a single joint it comes as a vector
         rows: Array = J[: self.rows, self._columns]
-        return self.shafts.columns(rows)
+        return self.shafts.convert_columns(rows)
 
     def _compute_tool_error(self, R_WT: Array, p_WT: Array, target: Pose) -> Array:
         error = coerce_kind(target, Pose, "Kinematics", "target", "be a Pose").p_WT - p_WT
@@ -217,11 +219,11 @@ class Kinematics(SharedObject):
         Raises:
             Refusal: a wrong length, not finite or too large.
         """
-        return _Q.row("Kinematics", q, len(self.joint_names))
+        return _Q.check_row("Kinematics", q, len(self.joint_names))
 
     def _compute_configuration(self, q: npt.ArrayLike) -> Array:
         """Return Pinocchio's configuration: a continuous joint has cos and sin there."""
-        q = self.shafts.of_joints(self.vector(q))
+        q = self.shafts.convert_to_joints(self.vector(q))
         configuration: Array = self._neutral.copy()
         configuration[self._places] = q
         turning = self._turning
@@ -250,7 +252,7 @@ class Kinematics(SharedObject):
             )
             for joint in self._joints
         ]
-        lower, upper = self.shafts.positions(*np.array(bounds, dtype=np.float64).T)
+        lower, upper = self.shafts.bound_positions(*np.array(bounds, dtype=np.float64).T)
         return lower, upper
 
     def _find_tool_joints(self) -> npt.NDArray[np.bool_]:

@@ -52,17 +52,17 @@ class LinkTorques(SharedObject):
             q, v, np.zeros_like(v) if a is None else a
         )
         tau = pin.rnea(self._model, self._data, configuration, full_v, full_a)
-        return self._shafts.columns(np.asarray(tau[self._columns], dtype=np.float64))
+        return self._shafts.convert_columns(np.asarray(tau[self._columns], dtype=np.float64))
 
     def compute_rates(self, q: Array, v: Array, a: Array, jerk: Array) -> tuple[Array, Array]:
         """Return the torques (N,) and their rates (N,) [N m/s], with jerks [rad/s3]."""
         expanded = self._expand_joints(q, v, a)
         by_q, by_v, M = pin.computeRNEADerivatives(self._model, self._data, *expanded)
         M = np.triu(M) + np.triu(M, 1).T  # it computes the upper half only
-        v, a, jerk = (self._shafts.rates(rate_of_joints) for rate_of_joints in (v, a, jerk))
+        v, a, jerk = (self._shafts.convert_rates(rate_of_joints) for rate_of_joints in (v, a, jerk))
         rate = by_q[self._square] @ v + by_v[self._square] @ a + M[self._square] @ jerk
         tau = np.asarray(self._data.tau[self._columns], dtype=np.float64)
-        return self._shafts.columns(tau), self._shafts.columns(rate)
+        return self._shafts.convert_columns(tau), self._shafts.convert_columns(rate)
 
     def _order_outboard(self, numbers: list[int]) -> list[tuple[int, tuple[int, ...]]]:
         """Return `outboard` of the model's joints, whose numbers rise from the base outwards."""
@@ -80,5 +80,9 @@ class LinkTorques(SharedObject):
         """Return Pinocchio's configuration, speeds and accelerations, of all joints."""
         rows = np.zeros((3, self._model.nv))
         shafts = self._shafts
-        rows[:, self._columns] = shafts.of_joints(q), shafts.rates(v), shafts.rates(a)
+        rows[:, self._columns] = (
+            shafts.convert_to_joints(q),
+            shafts.convert_rates(v),
+            shafts.convert_rates(a),
+        )
         return [pin.integrate(self._model, self._neutral, rows[0]), rows[1], rows[2]]

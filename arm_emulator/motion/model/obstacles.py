@@ -10,8 +10,8 @@ from arm_emulator.base.validation.parameters import split_tables
 
 OBSTACLES = "obstacles"  # the section's name
 _LENGTH = Number("", "m", above=0.0, at_most=1e3)
-_PLACE = Number.within("", "m", 1e3)
-_ANGLE = Number.within("", "rad", 10.0)
+_PLACE = Number.bound_size("", "m", 1e3)
+_ANGLE = Number.bound_size("", "rad", 10.0)
 _KEYS = "height", "size", "at", "rpy"
 
 
@@ -44,7 +44,7 @@ def _read_obstacle(name: str, table: Mapping[str, Any], where: str) -> Obstacle:
     if "height" in table:
         if len(table) > 1:
             raise Refusal(where, path, "be a floor (height) or a box", sorted(table))
-        height = _PLACE.named(f"{path}.height").take(where, table["height"])
+        height = _PLACE.rename(f"{path}.height").check_value(where, table["height"])
         return Obstacle(name, height)
     if "size" not in table:
         raise Refusal(where, path, "have a height (a floor) or a size (a box)", sorted(table))
@@ -57,4 +57,4 @@ def _read_obstacle(name: str, table: Mapping[str, Any], where: str) -> Obstacle:
 
 
 def _read_three(values: object, number: Number, where: str, path: str) -> tuple[float, ...]:
-    return tuple(number.named(path).row(where, values, 3).tolist())
+    return tuple(number.rename(path).check_row(where, values, 3).tolist())

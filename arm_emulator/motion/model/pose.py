@@ -16,8 +16,8 @@ from arm_emulator.base.validation.number import Number
 # A quaternion this far from length 1, and a matrix this far from a rotation, is rounding of its
 # sender; farther, it is a mistake.
 _UNIT_TOLERANCE = 1e-3
-_ROTATION = Number.within("R_WT", "", 1.0 + _UNIT_TOLERANCE)  # no entry of a rotation is larger
-_ORIENTATION = Number.within("orientation", "", math.inf)
+_ROTATION = Number.bound_size("R_WT", "", 1.0 + _UNIT_TOLERANCE)  # no entry of a rotation is larger
+_ORIENTATION = Number.bound_size("orientation", "", math.inf)
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -35,11 +35,11 @@ class Pose(ArrayEquality):
         Raises:
             Refusal: a wrong shape, not finite, too far away, or a matrix that is no rotation.
         """
-        p = TOOL_POSITION.row("Pose", p_WT, 3).copy()
-        R = np.array(_ROTATION.numbers("Pose", R_WT))
+        p = TOOL_POSITION.check_row("Pose", p_WT, 3).copy()
+        R = np.array(_ROTATION.check_numbers("Pose", R_WT))
         if R.shape != (3, 3):
             raise Refusal("Pose", "R_WT", "have shape (3, 3)", R.shape)
-        _ROTATION.check("Pose", R.ravel().tolist())
+        _ROTATION.check_values("Pose", R.ravel().tolist())
         off = float(np.abs(R @ R.T - np.eye(3)).max())
         if off > _UNIT_TOLERANCE:
             rule = f"be a rotation, R R' = 1 +- {_UNIT_TOLERANCE}"
@@ -70,8 +70,8 @@ class Pose(ArrayEquality):
             Refusal: not finite, too far away, a wrong length, or a quaternion whose length is
                 not 1.
         """
-        p = TOOL_POSITION.row(where, position, 3).copy()
-        q = _ORIENTATION.row(where, quaternion, 4)
+        p = TOOL_POSITION.check_row(where, position, 3).copy()
+        q = _ORIENTATION.check_row(where, quaternion, 4)
         length = math.hypot(*q.tolist())  # of numbers of any size
         if abs(length - 1.0) > _UNIT_TOLERANCE:
             raise Refusal(

@@ -62,9 +62,9 @@ class JacobianController:
         if not isinstance(kinematics, Kinematics):
             raise Refusal("JacobianController", "kinematics", "be a Kinematics", kinematics)
         self.kinematics = kinematics
-        self.weight = _SHARE.named("weight").take("motion_controller", weight)
-        self.step_limit = _STEP_LIMIT.take("motion_controller", step_limit)
-        self.singular_below = _SHARE.named("singular_below").take(
+        self.weight = _SHARE.rename("weight").check_value("motion_controller", weight)
+        self.step_limit = _STEP_LIMIT.check_value("motion_controller", step_limit)
+        self.singular_below = _SHARE.rename("singular_below").check_value(
             "motion_controller", singular_below
         )
         self.notices: tuple[str, ...] = ()

@@ -9,7 +9,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.motion.model.arm_tree import PATH_HEADER, path_library
-from arm_emulator.toolchain.c_header import CData, pointer
+from arm_emulator.toolchain.c_header import CData, make_pointer
 
 DERIVATIVES = 4  # the curve itself among them
 ROUNDING = 1e-9  # rad or m beyond a limit, or beyond the begin of a curve that begins outside
@@ -48,7 +48,7 @@ class JointCurve:
         count, columns = y.shape
         h = 1.0 / (count - 1)
         m = np.empty_like(y)
-        path_library().path_spline(count, columns, h, pointer(y), pointer(m))
+        path_library().path_spline(count, columns, h, make_pointer(y), make_pointer(m))
         slope = np.diff(y, axis=0) / h - h / 6.0 * (2.0 * m[:-1] + m[1:])
         rise = np.diff(m, axis=0) / (6.0 * h)
         coefficients = np.stack([y[:-1], slope, 0.5 * m[:-1], rise], axis=1)
@@ -58,7 +58,7 @@ class JointCurve:
     def struct(self) -> CData:
         """The curve as path.h takes it, which must not outlive it."""
         pieces, degrees, columns = self.coefficients.shape
-        return PATH_HEADER.new(
+        return PATH_HEADER.make_struct(
             "path_curve",
             pieces=pieces,
             degrees=degrees,

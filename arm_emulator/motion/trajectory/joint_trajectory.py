@@ -341,8 +341,8 @@ def _read_table(points: Sequence[TrajectoryPoint], field: str, count: int) -> Ar
     for i, point in enumerate(points):
         values = getattr(point, field)
         if needed or len(values):
-            bound: Number = _BOUNDS[field].named(f"points[{i}].{field}")
-            table[i] = bound.row(WHERE, values, count)
+            bound: Number = _BOUNDS[field].rename(f"points[{i}].{field}")
+            table[i] = bound.check_row(WHERE, values, count)
     return table
 
 

@@ -20,7 +20,7 @@ from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.motion.model.arm_tree import PATH_HEADER, ArmTree, path_library
 from arm_emulator.motion.model.joint_reference import Reference
 from arm_emulator.motion.trajectory.joint_curve import JointCurve
-from arm_emulator.toolchain.c_header import NULL, pointer
+from arm_emulator.toolchain.c_header import NULL, make_pointer
 
 FEWEST_PIECES = 24  # of the timing
 MAX_PIECES = 400  # of a way in which the ramps decide how many it has
@@ -158,13 +158,25 @@ class TimedPath(SharedObject):
             sigma, keeps, coefficients = compute_places(count), np.empty(count), np.empty(count + 2)
             max_rates, firsts, thirds = self._compute_rows(sigma, arguments)
             for _ in range(MAX_TIMINGS):
-                rows = (pointer(max_rates), firsts.shape[2], pointer(firsts), thirds.shape[2])
-                fault = law.path_time(count, *rows, pointer(thirds), _GAP, pointer(coefficients))
+                rows = (
+                    make_pointer(max_rates),
+                    firsts.shape[2],
+                    make_pointer(firsts),
+                    thirds.shape[2],
+                )
+                fault = law.path_time(
+                    count, *rows, make_pointer(thirds), _GAP, make_pointer(coefficients)
+                )
                 if fault >= 0:
                     raise self._refuse_torque(sigma[fault], where)
                 looks = _CHECKED_AGAIN if timings else _CHECKED
                 law.path_keeps(
-                    *arguments, count, pointer(coefficients), looks, JERK_MARGIN, pointer(keeps)
+                    *arguments,
+                    count,
+                    make_pointer(coefficients),
+                    looks,
+                    JERK_MARGIN,
+                    make_pointer(keeps),
                 )
                 smallest = float(keeps.min())
                 first = first or smallest
@@ -186,14 +198,14 @@ class TimedPath(SharedObject):
         firsts = np.empty((3, len(sigma), joints + torques + along))
         thirds = np.empty((3, len(sigma), joints + along))
         path_library().path_rows(
-            *arguments, len(sigma), *map(pointer, (sigma, max_rates, firsts, thirds))
+            *arguments, len(sigma), *map(make_pointer, (sigma, max_rates, firsts, thirds))
         )
         return max_rates, firsts, thirds
 
     def _make_arguments(self) -> tuple[Any, ...]:
         """Return arm, curve, limits and ramp as path.h takes them."""
         limits, along = self._limits, self._along
-        struct = PATH_HEADER.new(
+        struct = PATH_HEADER.make_struct(
             "path_limits",
             speed=limits.speed,
             acceleration=limits.acceleration,
@@ -202,7 +214,7 @@ class TimedPath(SharedObject):
             requested=self._requested,
         )
         if along is not None:
-            PATH_HEADER.fill(
+            PATH_HEADER.fill_struct(
                 struct,
                 length=along.length,
                 tool_speed=along.speed,

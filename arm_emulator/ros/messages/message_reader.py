@@ -19,7 +19,7 @@ from arm_emulator.toolchain.c_header import CData
 
 STAMP = "header.stamp.sec"  # stands for the whole time
 _READ, _OF_ITS_TYPE, _OF_A_TIME = map(
-    MESSAGE_READER.constant, ("MESSAGE_READ", "MESSAGE_OF_ITS_TYPE", "MESSAGE_OF_A_TIME")
+    MESSAGE_READER.get_constant, ("MESSAGE_READ", "MESSAGE_OF_ITS_TYPE", "MESSAGE_OF_A_TIME")
 )
 
 
@@ -93,7 +93,7 @@ class MessageReader:
                 field.to = singles[path]
             else:
                 use = "MESSAGE_SKIPPED"
-            field.use = MESSAGE_READER.constant(use)
+            field.use = MESSAGE_READER.get_constant(use)
         if missing := {names, *rows, *singles} - {"", *self._at}:
             raise TypeError(f"{kind.__name__} has no {missing}")
         encoded = [new("char[]", name.encode()) for name in joint_names]
@@ -102,7 +102,7 @@ class MessageReader:
         # A length, then of each name its length, its bytes and their end, to a multiple of 4.
         self._known_bytes = np.zeros(4 + sum(4 + len(name) + 3 for name in encoded), np.uint8)
         self._referenced += encoded
-        self.struct = MESSAGE_READER.new(
+        self.struct = MESSAGE_READER.make_struct(
             "message_reader",
             fields=len(table),
             field=self._fields,
@@ -132,7 +132,7 @@ class MessageReader:
                 check_time(self._topic, message.header.stamp)
             else:
                 names, values = getattr(message, self._names), getattr(message, path)
-                self._order.arrange(names, values, self._rows[path].bound)
+                self._order.arrange_values(names, values, self._rows[path].bound)
         except Refusal as reason:
             return reason
         return Refusal(self._topic, path, "be readable", "another value")  # C alone knows why
@@ -146,7 +146,7 @@ class MessageReader:
         largest = LARGEST if bound.at_most is None else bound.at_most
         maxima = np.array(np.broadcast_to(largest, N), np.float64)
         self._referenced += [row.to, maxima]
-        MESSAGE_READER.fill(field, most=maxima, is_optional=row.is_optional)
+        MESSAGE_READER.fill_struct(field, most=maxima, is_optional=row.is_optional)
         field.to = MESSAGE_READER.ffi.cast("void *", row.to.ctypes.data)
 
 

@@ -97,7 +97,7 @@ class Outgoing:
         self._copies = ffi.new("ros_copy[]", copies)
         self._arrays = [numbers for _, numbers in further]
         self._data = ffi.from_buffer("uint8_t[]", self.layout.bytes)
-        self.struct = MIDDLEWARE.new(
+        self.struct = MIDDLEWARE.make_struct(
             "ros_message",
             data=self._data,
             size=self.layout.size,
@@ -135,6 +135,6 @@ def _copy(row: Numbers, at: int, message: Any, name: str) -> dict[str, Any]:
         "from": MIDDLEWARE.ffi.cast("void *", row.ctypes.data),
         "stride": row.strides[0],
         "count": len(row),
-        "kind": MIDDLEWARE.constant(kind),
+        "kind": MIDDLEWARE.get_constant(kind),
         "at": at,
     }

@@ -10,7 +10,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from arm_emulator.ros.node.sole_publisher import SolePublisher, call_back, receive, split_received
-from arm_emulator.workarounds.rclpy_internals import call_subscription_back, new_wait_set
+from arm_emulator.workarounds.rclpy_internals import call_subscription_back, make_wait_set
 
 
 class Entities:
@@ -43,7 +43,7 @@ class Entities:
             self._stack.enter_context(entity.handle)
         self._stack.enter_context(self.context)
         counts = len(self.subscriptions), 1, len(self.timers), 0, len(self.services), 0
-        self._all: Any = new_wait_set(counts, self.context)
+        self._all: Any = make_wait_set(counts, self.context)
         self._stack.enter_context(self._all)
         return self
 

@@ -24,7 +24,7 @@ from arm_emulator.ros.messages.middleware import HotPath, get_middleware
 from arm_emulator.ros.node.entities import Entities, take_message
 from arm_emulator.ros.node.managed_node import ManagedNode
 from arm_emulator.ros.node.sole_publisher import SolePublisher, call_back, deliver, split_received
-from arm_emulator.workarounds.rclpy_internals import new_guard_condition
+from arm_emulator.workarounds.rclpy_internals import make_guard_condition
 
 # s, wall: interval at which new entities are looked for, and those served that are left to
 # rclpy's own executor (QoS events, clients, guard conditions).
@@ -200,7 +200,7 @@ class Arrivals:
             self._stack.enter_context(subscription.handle)
         for message in hot.outgoing:
             self._stack.enter_context(message.bind())
-        self.guard: Any = new_guard_condition(context)
+        self.guard: Any = make_guard_condition(context)
         self._stack.enter_context(self.guard)
         ffi, self._calls = ARRIVALS.ffi, get_middleware()
         guard = ffi.cast("void *", self.guard.pointer)
@@ -210,9 +210,9 @@ class Arrivals:
             self._topics[k].subscription = ffi.cast("void *", handle.pointer)
             if subscription in soles:
                 self._topics[k].owner = soles[subscription].owner
-            MIDDLEWARE.fill(self._topics + k, take=take, **{"with": argument})
+            MIDDLEWARE.fill_struct(self._topics + k, take=take, **{"with": argument})
         self._all = self._calls.ros_arrivals_new(self._topics, len(self._subscriptions), guard)
-        self._arrived = ARRIVALS.new("ros_arrived", left=-1)
+        self._arrived = ARRIVALS.make_struct("ros_arrived", left=-1)
         self._handled = 0
         if not self._all:
             self._stack.close()

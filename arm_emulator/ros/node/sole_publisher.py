@@ -28,7 +28,7 @@ KINDS = {
 LOOK_AGAIN = 0.25  # s, wall: between two looks at the graph because of one publisher
 IDENTIFY = 4.0  # s, wall: for a node that was discovered to be known by its name
 WITHHELD_LIMIT = 1000  # messages of topics that keep them for late subscribers
-_NO_PUBLISHER = bytes(MIDDLEWARE.constant("ROS_GID"))
+_NO_PUBLISHER = bytes(MIDDLEWARE.get_constant("ROS_GID"))
 
 
 class OwnExecutorOnly(CallbackGroup):
@@ -54,7 +54,7 @@ def receive(subscription: Any, owner: CData | None = None) -> CData | None:
         owner: whose messages are taken, ``ros_publisher *``; None: those of any.
     """
     handle = MIDDLEWARE.ffi.cast("void *", subscription.handle.pointer)
-    message = MIDDLEWARE.new("ros_received")
+    message = MIDDLEWARE.make_struct("ros_received")
     owner_or_null = MIDDLEWARE.ffi.NULL if owner is None else owner
     return message if get_middleware().ros_receive(handle, owner_or_null, message) else None
 
@@ -101,7 +101,7 @@ class SolePublisher:
         self._node, self._topic, self._full = node, topic, node.resolve_topic_name(topic)
         self._signs = [node.resolve_topic_name(sign) for sign in KINDS[kind]]
         self._kind, self._keeps = kind, keeps
-        self.owner = MIDDLEWARE.new("ros_publisher")
+        self.owner = MIDDLEWARE.make_struct("ros_publisher")
         self._owner = _NO_PUBLISHER
         self._judged_until: dict[bytes, float] = {}  # until when a judgement of a publisher holds
         self._refused, self._refused_name = _NO_PUBLISHER, ""  # the newest one that was refused

@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 
-from arm_emulator.base.process import is_running, signal_at_end_of_parent
+from arm_emulator.base.process import is_running, request_signal_at_parent_end
 
 VARIABLE = "ARM_EMULATOR_PARENT"
 
@@ -24,6 +24,6 @@ def end_with_parent() -> None:
     if not launcher.isdecimal():
         return
     if os.getppid() == int(launcher):
-        signal_at_end_of_parent(signal.SIGINT)
+        request_signal_at_parent_end(signal.SIGINT)
     if not is_running(int(launcher)):  # it ended before that
         sys.exit(0)

@@ -19,7 +19,7 @@ from arm_emulator.ros.recording.bag_metadata import ABOUT, Span, Topic, read_qos
 try:
     from mcap.records import Channel, Message, Metadata, Schema
 
-    from arm_emulator.base.io.mcap_records import CutOff, DamagedRecords, records
+    from arm_emulator.base.io.mcap_records import CutOff, DamagedRecords, read_records
 except ImportError as error:  # a stock ROS 2 machine has none
     raise Refusal(
         "bags", "Python package mcap", "be installed", error, "pip install mcap"
@@ -112,7 +112,7 @@ class Bag:
     def _read(self, stream: IO[bytes], topics: Collection[str] | None) -> Iterator[BagMessage]:
         schemas: dict[int, Schema] = {}
         names: dict[int, str] = {}
-        for record, _ in records(stream):
+        for record, _ in read_records(stream):
             if isinstance(record, Message):
                 name = names.get(record.channel_id)
                 if name is None:

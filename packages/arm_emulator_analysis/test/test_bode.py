@@ -54,7 +54,9 @@ def test_the_response_is_that_of_two_masses(file: Path, tmp_path: Path) -> None:
             actual = np.array(response[of]["gain"]) * np.exp(1j * np.array(response[of]["phase"]))
             np.testing.assert_allclose(actual, expected, rtol=1e-8)
             # The table has nine digits.
-            np.testing.assert_allclose(rows.column(f"{name}.{of}.gain"), np.abs(actual), rtol=1e-8)
+            np.testing.assert_allclose(
+                rows.get_column(f"{name}.{of}.gain"), np.abs(actual), rtol=1e-8
+            )
         stiffness = STIFFNESS / (2.0 * np.pi) ** 2
         locked = np.sqrt(stiffness / MOVED[j])
         free = np.sqrt(stiffness * (1.0 / MOVED[j] + RATIO**2 / ROTOR))

@@ -79,7 +79,7 @@ class BatchSimulator:
         self._schedule = FleetWay(scene, width, self._sampler.look, self._sampler.with_)
         self._frame = self._fleet.frame()
         table = scenario.table
-        self._nominal = Targets.of([(table.ticks(scene.servo_period), table.q)] * width)
+        self._nominal = Targets.of([(table.compute_ticks(scene.servo_period), table.q)] * width)
         self._targets = self._nominal
         self._servos.aim_at(self._targets.since, self._targets.q, self._targets.first)
 
@@ -116,7 +116,7 @@ class BatchSimulator:
             try:
                 bind_case(self._campaign, case)
                 for name in varied.keys() & case.values.keys():
-                    varied[name].take("", case.values[name])
+                    varied[name].check_value("", case.values[name])
             except Refusal as no:
                 where = f"{self._campaign.where}, run {case.index}"
                 return place, Refusal(where, no.quantity, no.rule, no.got, no.valid)

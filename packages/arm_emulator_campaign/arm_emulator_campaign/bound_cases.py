@@ -53,7 +53,7 @@ def bind_cases(campaign: Campaign, cases: Cases) -> BoundCases:
     numbers = np.tile(own, (count, 1))
     for place, varied in enumerate(scene.varied):
         if varied.name in values:
-            varied.number.check(campaign.where, values[varied.name])
+            varied.number.check_values(campaign.where, values[varied.name])
             numbers[:, place] = values[varied.name]
     faults = campaign.bind_faults(values)
     there = [fault for name, fault in faults.items() if name not in cases.without]

@@ -49,8 +49,8 @@ class ChangeRows:
         of_arms = np.full(way.of[1] + 1, self.first[end] - self.first[first])
         of_arms[: end - first] = self.first[first:end] - self.first[first]
         rows = self.rows[self.first[first] :]
-        way.struct.change = FLEET.pointer("arm_fleet_change", rows)
-        FLEET.fill(way.struct, first_change=of_arms)
+        way.struct.change = FLEET.make_pointer("arm_fleet_change", rows)
+        FLEET.fill_struct(way.struct, first_change=of_arms)
         return of_arms
 
 
@@ -92,7 +92,7 @@ def make_change_rows(
     order = np.argsort(ticks, axis=1, kind="stable")
     run = np.arange(count)[:, None]
     selected = happens[run, order]
-    rows = FLEET.rows("arm_fleet_change", int(np.count_nonzero(selected)) + 1)
+    rows = FLEET.make_rows("arm_fleet_change", int(np.count_nonzero(selected)) + 1)
     rows["tick"][:-1] = ticks[run, order][selected]
     for name, column in columns.fields.items():
         rows[name][:-1] = column[run, order][selected]
@@ -122,7 +122,7 @@ class _Columns:
             varied = find_varied(self._scene.varied, change.name, where)
             values["place"] = place = self._places[change.name]
             value = self._sound[:, place] if change.value is None else change.value
-            varied.number.check(where, np.atleast_1d(value))
+            varied.number.check_values(where, np.atleast_1d(value))
             values["value"] = value
         elif isinstance(change, WrenchChange):
             values["place"], values["wrench"] = self._add_wrench(change)
@@ -138,7 +138,7 @@ class _Columns:
         link, wrench = move_to_moving_link(
             self._scene, "campaign", change.link, change.wrench, *sizes
         )
-        rows = ARM.rows("arm_wrench", *(sizes or {1}))
+        rows = ARM.make_rows("arm_wrench", *(sizes or {1}))
         rows["size"], rows["axes"] = rows.itemsize, WRENCH_AXES.index(wrench.axes)
         for name in ("point", "force", "moment"):
             rows[name] = getattr(wrench, name)

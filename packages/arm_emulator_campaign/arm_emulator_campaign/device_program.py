@@ -56,11 +56,11 @@ class DeviceProgram(Program):
         requirement_count, measure_count = self._robustness.shape[1], self._reduced.shape[1]
         self._measure_requirements(longest)
         self._sizes = {
-            "all": JUDGES.sizeof("judges"),
+            "all": JUDGES.get_size("judges"),
             "values": 8 * BLOCK * self._row_count,
             "at": 8 * self._row_count,
             "copies": 8 * requirement_count,
-            "measures": JUDGES.sizeof("judges_measure") * measure_count,
+            "measures": JUDGES.get_size("judges_measure") * measure_count,
             "rooms": sum(whole for _, whole in self._requirement_sizes),
             "counts": 8,
             "robustness": 8 * requirement_count,
@@ -107,7 +107,7 @@ class DeviceProgram(Program):
             "inputs": copy_to_device(device, inputs),
             "measures": copy_to_device(device, own[0]),
         }
-        JUDGES.fill(
+        JUDGES.fill_struct(
             like,
             **{name: JUDGES.ffi.cast("void *", place.pointer) for name, place in copied.items()},
         )
@@ -120,7 +120,7 @@ class DeviceProgram(Program):
         self._like = copied, heads
         self._launch(
             "judge_build",
-            like=copy_to_device(device, view_bytes(like, JUDGES.sizeof("judges"))),
+            like=copy_to_device(device, view_bytes(like, JUDGES.get_size("judges"))),
             requirements=copy_to_device(
                 device, np.array([*(head.pointer for head in heads), 0], np.uint64)
             ),
@@ -181,5 +181,5 @@ class DeviceProgram(Program):
             name: cast_pointer(value) if isinstance(value, Memory) else value
             for name, value in {"all": self._memory["all"], **values}.items()
         }
-        call: CData = KERNELS.new(f"{kernel}_call", **places)
+        call: CData = KERNELS.make_struct(f"{kernel}_call", **places)
         self._module.launch(kernel, self._runs, bytes(KERNELS.ffi.buffer(call)))

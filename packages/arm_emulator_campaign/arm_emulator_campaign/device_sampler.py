@@ -49,14 +49,14 @@ class DeviceSampler(FleetSampler):
         self._of_numbers = copy_to_device(self._device, self._numbers)
         self._of_samples = self._device.allocate(self._samples.nbytes)
         self._of_taken = copy_to_device(self._device, self._taken)
-        SAMPLER.fill(
+        SAMPLER.fill_struct(
             struct,
             numbers=SAMPLER.ffi.cast("sampler_number *", self._of_numbers.pointer),
             samples=SAMPLER.ffi.cast("double *", self._of_samples.pointer),
             taken=SAMPLER.ffi.cast("int64_t *", self._of_taken.pointer),
         )
         self._of_sampler = copy_to_device(
-            self._device, view_bytes(struct, SAMPLER.sizeof("sampler"))
+            self._device, view_bytes(struct, SAMPLER.get_size("sampler"))
         )
         return cast_pointer(self._of_sampler)
 

@@ -83,8 +83,8 @@ class PythonRequirement:
     """
 
     def __init__(self, section: Section, signal_names: list[str], folder: Path) -> None:
-        file, _, name = section.text("python").partition(":")
-        patterns = [str(entry) for entry in section.entries("signals")]
+        file, _, name = section.read_text("python").partition(":")
+        patterns = [str(entry) for entry in section.read_entries("signals")]
         self.names: list[str] = []
         import fnmatch
 
@@ -92,14 +92,14 @@ class PythonRequirement:
             names = fnmatch.filter(signal_names, pattern)
             if not names:
                 valid = ", ".join(signal_names)
-                raise section.refusal("signals", "name signals of the run", pattern, valid)
+                raise section.make_refusal("signals", "name signals of the run", pattern, valid)
             self.names += names
         self.names.append("t")
-        section.finish()
+        section.refuse_unread_keys()
         code = (folder / file).resolve()
         if not name or not code.is_file() or not code.is_relative_to(folder.resolve()):
             rule = "be FILE:FUNCTION, a file beside the campaign's or below its folder"
-            raise section.refusal("python", rule, section.text("python"))
+            raise section.make_refusal("python", rule, section.read_text("python"))
         self._function, self._section = _load_function(code, name, section), section
 
     def judge(self, trace: Sequence[Array]) -> float:
@@ -114,10 +114,10 @@ class PythonRequirement:
         except (Exception, SystemExit) as error:
             line = traceback.extract_tb(error.__traceback__)[-1]
             value = f"{type(error).__name__}: {error} ({Path(line.filename).name}:{line.lineno})"
-            raise self._section.refusal("python", "return a margin", value) from None
+            raise self._section.make_refusal("python", "return a margin", value) from None
         number = coerce_array(margin)
         if number is None or number.ndim:
-            raise self._section.refusal("python", "return a margin, one number", margin)
+            raise self._section.make_refusal("python", "return a margin, one number", margin)
         return float(number)
 
 
@@ -129,11 +129,11 @@ def _load_function(file: Path, name: str, section: Section) -> Callable[[Signals
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         value = f"{type(error).__name__}: {error}"
-        raise section.refusal("python", "be a file that Python can run", value) from None
+        raise section.make_refusal("python", "be a file that Python can run", value) from None
     function = getattr(module, name, None)
     if not callable(function):
         valid = ", ".join(key for key, value in vars(module).items() if callable(value))
-        raise section.refusal("python", "name a function of the file", name, valid or "none")
+        raise section.make_refusal("python", "name a function of the file", name, valid or "none")
     return function  # type: ignore[no-any-return]
 
 
@@ -192,7 +192,7 @@ class Evaluators:
         signal_names = list(list_signal_units(scene))
         rows = Rows(scene.joint_names, scene.integrator.dt, scene.steps_per_period)
         section = Section({"requirements": dict(campaign.requirements)}, where)
-        requirement_section = section.required_section("requirements")
+        requirement_section = section.require_section("requirements")
         formulas: dict[str, Formula] = {}
         self._checked: dict[str, PythonRequirement | VibrationRequirement] = {}
         for name, text in campaign.requirements.items():
@@ -201,7 +201,7 @@ class Evaluators:
                 formula = parse_formula(text, where, quantity)
                 formulas[name] = bind_signals(formula, signal_names, where, quantity)
             else:
-                below = requirement_section.required_section(name)
+                below = requirement_section.require_section(name)
                 self._checked[name] = (
                     VibrationRequirement(below, scene)
                     if KEY in text

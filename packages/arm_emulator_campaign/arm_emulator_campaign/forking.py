@@ -83,7 +83,7 @@ class ForkingRun(Simulator):
             self._drives.restore(state.drives)
             self._tuned = self._drives.servo.config
             self._table = state.rest[2]
-            run.aim(self._table)
+            run.set_table(self._table)
         self._place_joints()
         self._scenario, self._last = state.rest[:2]
         self._events, self._lowest = list(state.events), state.least

@@ -25,7 +25,7 @@ from arm_emulator_campaign.requirement import Robustness
 
 HERE = Path(__file__).resolve().parent
 JUDGES = Header(HERE / "judges.h", (HERE, BOUNDARY_FOLDER))
-BLOCK = FORMULA_HEADER.constant("FORMULA_BLOCK")
+BLOCK = FORMULA_HEADER.get_constant("FORMULA_BLOCK")
 
 
 def judges_unit() -> Unit:
@@ -65,9 +65,9 @@ class Rows(FormulaRows):
 
     def inputs(self) -> NDArray[Any]:
         """Return ``judges_input``, one at least."""
-        inputs = JUDGES.rows("judges_input", max(1, len(self._inputs)))
+        inputs = JUDGES.make_rows("judges_input", max(1, len(self._inputs)))
         for row, (kind, place) in zip(inputs, self._inputs, strict=False):
-            row["kind"], row["place"] = JUDGES.constant(f"JUDGES_{kind}"), place
+            row["kind"], row["place"] = JUDGES.get_constant(f"JUDGES_{kind}"), place
         return inputs
 
     def _find_row(self, name: str) -> int:
@@ -144,9 +144,9 @@ class Program:
         self._requirements = requirements  # they own what the program uses
         self._room, self._row_count = room, len(rows)
         self._calls, runs = judges(), len(requirements)
-        own = JUDGES.rows("judges_measure", runs, max(1, len(measures)))
+        own = JUDGES.make_rows("judges_measure", runs, max(1, len(measures)))
         for place, (kind, row) in enumerate(measures):
-            own[:, place]["reduction"] = JUDGES.constant(f"JUDGES_{kind.upper()}")
+            own[:, place]["reduction"] = JUDGES.get_constant(f"JUDGES_{kind.upper()}")
             own[:, place]["row"] = row
         self.kept = np.zeros((runs, len(traced), room))
         self._robustness = np.zeros((runs, len(requirements[0])))
@@ -162,23 +162,23 @@ class Program:
         ]
         self._structs = JUDGES.ffi.new("judges[]", runs)
         for run in range(runs):
-            JUDGES.fill(
+            JUDGES.fill_struct(
                 JUDGES.ffi.addressof(self._structs, run),
                 row_count=len(rows),
                 requirement_count=len(requirements[0]),
                 measure_count=len(measures),
                 kept_count=len(traced),
-                rows=JUDGES.pointer("formula_row", of_rows),
+                rows=JUDGES.make_pointer("formula_row", of_rows),
                 inputs=inputs,
                 values=values,
                 at=at,
                 requirements=self._pointers[run],
-                measures=JUDGES.pointer("judges_measure", own[run]),
+                measures=JUDGES.make_pointer("judges_measure", own[run]),
                 kept_rows=traced_rows,
                 kept=c_pointer(self.kept[run]) if len(traced) else C_NULL,
                 kept_stride=room,
             )
-        self._pieces = JUDGES.rows("judges_samples", runs)
+        self._pieces = JUDGES.make_rows("judges_samples", runs)
 
     def begin(self) -> None:
         """Begin all runs."""
@@ -201,7 +201,7 @@ class Program:
             pieces["since"][:runs] = _get_addresses(targets.since, first[:-1])
             pieces["targets"][:runs] = _get_addresses(targets.q, first[:-1])
             pieces["target_count"][:runs], pieces["joints"] = np.diff(first), targets.q.shape[1]
-        pointers = JUDGES.pointer("judges_samples", pieces)
+        pointers = JUDGES.make_pointer("judges_samples", pieces)
         if self._calls.judges_take(self._structs, runs, pointers):
             raise MemoryError("no memory for a requirement")
 

@@ -13,7 +13,7 @@ from arm_emulator.extension.machine import is_at_one_instant
 HERE = Path(__file__).resolve().parent
 ROBUSTNESS = Header(HERE / "robustness.h")
 MAX_NODES = 10_000
-_FOREVER = ROBUSTNESS.constant("ROBUSTNESS_FOREVER")
+_FOREVER = ROBUSTNESS.get_constant("ROBUSTNESS_FOREVER")
 _ROUNDING = 1e-6  # of a period: tolerance for times written with few digits
 
 
@@ -51,13 +51,13 @@ class Robustness:
         self._row_of = row_of
         self._nodes: list[tuple[int, int, int, int, int]] = []
         self._add(formula)
-        rows = ROBUSTNESS.rows("robustness_node", len(self._nodes))
+        rows = ROBUSTNESS.make_rows("robustness_node", len(self._nodes))
         for row, (kind, left, right, begin, end) in zip(rows, self._nodes, strict=True):
             row["kind"], row["left"], row["right"] = kind, left, right
             row["begin"], row["end"] = begin, end
         self._calls = calls
         self.pointer = self._calls.robustness_new(
-            ROBUSTNESS.pointer("robustness_node", rows), len(rows)
+            ROBUSTNESS.make_pointer("robustness_node", rows), len(rows)
         )
         if self.pointer == C_NULL:
             raise MemoryError("no memory for a requirement")
@@ -71,7 +71,7 @@ class Robustness:
         if len(self._nodes) >= MAX_NODES:
             rule = f"have at most {MAX_NODES} operators"
             raise Refusal(self._where, self._quantity, rule, "more")
-        kind = ROBUSTNESS.constant(f"ROBUSTNESS_{name.upper()}")
+        kind = ROBUSTNESS.get_constant(f"ROBUSTNESS_{name.upper()}")
         self._nodes.append((kind, left, right, begin, end))
         return len(self._nodes) - 1
 

@@ -103,18 +103,18 @@ class Samples:
 
     def sampler(self, rows: Mapping[str, NDArray[Any]] | NDArray[np.void], **more: Any) -> CData:
         """Return the struct of a sampler that reads from rows, one of each machine."""
-        self._numbers = SAMPLER.rows("sampler_number", max(1, len(self._columns)))
+        self._numbers = SAMPLER.make_rows("sampler_number", max(1, len(self._columns)))
         for number, (row, column) in zip(self._numbers, self._columns.items(), strict=False):
-            place = column.of(rows)  # type: ignore[arg-type]
+            place = column.select_values(rows)  # type: ignore[arg-type]
             number["place"] = place.__array_interface__["data"][0]
             number["stride"] = place.strides[0]
-            number["kind"] = SAMPLER.constant(f"SAMPLER_{_KINDS[place.dtype.str[1:]]}")
+            number["kind"] = SAMPLER.get_constant(f"SAMPLER_{_KINDS[place.dtype.str[1:]]}")
             number["row"] = row
-        return SAMPLER.new(
+        return SAMPLER.make_struct(
             "sampler",
             count=len(self._columns),
             rows=self._samples.shape[1],
-            numbers=SAMPLER.pointer("sampler_number", self._numbers),
+            numbers=SAMPLER.make_pointer("sampler_number", self._numbers),
             samples=c_pointer(self._samples),
             room=self.room,
             taken=self._taken,
@@ -208,10 +208,10 @@ class FleetSampler(Samples):
         shapes = {name: (count, N) for name in self.truth} | dict.fromkeys(("energy",), (count,))
         truth = {name: np.zeros(shapes[name]) for name in self.truth}
         arrays = {value.field for value in self._columns.values() if value.path[0] == "measured"}
-        self._measurement = FLEET.new(
+        self._measurement = FLEET.make_struct(
             "arm_fleet_measurement", **{name: place.arrays[name] for name in arrays}
         )
-        self._truth = FLEET.new(
+        self._truth = FLEET.make_struct(
             "arm_fleet_truth",
             **{STATE_NAMES_IN_C.get(name, name): rows for name, rows in truth.items()},
         )

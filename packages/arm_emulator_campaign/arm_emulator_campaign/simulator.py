@@ -151,7 +151,7 @@ class Simulator:
     def _restart(self, servo: ServoConfig) -> None:
         drives = self._run.drives if isinstance(self._run, OfflineRun) else self._drives
         if servo is not self._tuned:
-            drives.retune(servo)
+            drives.set_config(servo)
             self._tuned = servo
         if isinstance(self._run, OfflineRun):
             self._run.restart(self._fresh)
@@ -211,7 +211,7 @@ class Simulator:
         if isinstance(self._run, OfflineRun):
             since, rows = zip(*self._aimed, strict=True)
             return Targets.of([(since, np.array(rows))])
-        return Targets.of([(self._table.ticks(self._scene.servo_period), self._table.q)])
+        return Targets.of([(self._table.compute_ticks(self._scene.servo_period), self._table.q)])
 
 
 def _place_points(move: Move, p_WT: Array) -> Array:

@@ -44,21 +44,21 @@ class VibrationRequirement:
     def __init__(self, section: Section, scene: Scene) -> None:
         self._section, self._period = section, scene.servo_period
         first = next(iter(VIBRATION_QUANTITIES))
-        self._quantity = section.choice(KEY, tuple(VIBRATION_QUANTITIES), first)
-        self._limit = section.number(_LIMITS[VIBRATION_QUANTITIES[self._quantity]])
-        self._source = section.choice("from", SOURCES, SOURCES[0])
-        self._band = section.number(_BAND)
-        section.finish()
+        self._quantity = section.read_choice(KEY, tuple(VIBRATION_QUANTITIES), first)
+        self._limit = section.read_number(_LIMITS[VIBRATION_QUANTITIES[self._quantity]])
+        self._source = section.read_choice("from", SOURCES, SOURCES[0])
+        self._band = section.read_number(_BAND)
+        section.refuse_unread_keys()
         joints = scene.joint_names
         scene.refuse_bearings("requirements of vibration")
         if not list_tool_signals(scene):
-            raise section.refusal(KEY, "be of a scene whose tool a joint carries", scene.name)
+            raise section.make_refusal(KEY, "be of a scene whose tool a joint carries", scene.name)
         read, self._scale = "q", np.ones(len(joints))
         if self._source == "encoders":
             read, self._scale = "measured.encoder_counts", compute_count_angle(scene)
             bare = [joint.name for joint in scene.joints if joint.sensors.encoder is None]
             if bare:
-                raise section.refusal("from", "be truth without an encoder", ", ".join(bare))
+                raise section.make_refusal("from", "be truth without an encoder", ", ".join(bare))
         self._chain = ToolChain(scene)
         self._joints = len(joints)
         self.names = [f"{name}.{joint}" for name in (read, "target") for joint in joints]

@@ -126,7 +126,7 @@ def test_many_runs_are_bound_as_each_alone(tmp_path: Path, name: str) -> None:
         assert bound.servos[run % len(bound.servos)] == alone.servo
         if bound.targets is not None:
             rows = slice(*bound.targets.first[run : run + 2])
-            assert bound.targets.since[rows].tolist() == alone.scenario.table.ticks(period)
+            assert bound.targets.since[rows].tolist() == alone.scenario.table.compute_ticks(period)
             assert np.array_equal(bound.targets.q[rows], alone.scenario.table.q)
         own = {number.name: number.value for number in campaign.scene.varied} | dict(case.values)
         if campaign.scene.has_sensor_errors:

@@ -163,7 +163,7 @@ def test_a_function_that_returns_no_margin_is_named(tmp_path):
 
     def judged(name):
         data = {"p": {"python": f"checks.py:{name}", "signals": ["q.elbow"]}}
-        section = Section(data, "c.yaml").required_section("p")
+        section = Section(data, "c.yaml").require_section("p")
         return PythonRequirement(section, ["q.elbow"], tmp_path).judge(trace)
 
     assert judged("right") == 1.0

@@ -232,7 +232,7 @@ class RegisterConverter:
 
     def _describe_joint(self, index: int) -> tuple[int, ...]:
         scene = self.session.scene
-        joint = ARM_HEADER.new("arm_joint_description")
+        joint = ARM_HEADER.make_struct("arm_joint_description")
         self.session.plant.core.arm_describe_joint(index, joint)
         return _pack_words(
             ">2H2dq2dq12x32s",
@@ -340,7 +340,7 @@ class RegisterConverter:
         chosen = self._faults[at // PER_MAGNITUDE :][: len(values)]
         try:
             for fault, value in zip(chosen, values, strict=True):
-                fault.number.take("modbus", value)
+                fault.number.check_value("modbus", value)
         except Refusal:
             raise ModbusException(Code.VALUE) from None
         for fault, value in zip(chosen, values, strict=True):

@@ -16,7 +16,7 @@ from arm_emulator.extension.machine import (
     list_modes,
     withheld_modes,
 )
-from arm_emulator.extension.runs import ServoConfig, ServoRows, check_servo, servo_numbers
+from arm_emulator.extension.runs import ServoConfig, ServoRows, check_servo, make_servo_numbers
 from arm_emulator_fieldbus import declared
 from arm_emulator_fieldbus.drives_unit import DRIVES, UNITS, drives_library
 from arm_emulator_fieldbus.object_dictionary import (
@@ -29,10 +29,10 @@ from arm_emulator_fieldbus.object_dictionary import (
 )
 
 _HOME_OFFSETS = {
-    "home_to_zero": DRIVES.constant("DRIVES_HOME_TO_ZERO"),
-    "zero_to_home": DRIVES.constant("DRIVES_ZERO_TO_HOME"),
+    "home_to_zero": DRIVES.get_constant("DRIVES_HOME_TO_ZERO"),
+    "zero_to_home": DRIVES.get_constant("DRIVES_ZERO_TO_HOME"),
 }
-_SDO_REPLIES = DRIVES.constant("DRIVES_SDO_REPLIES")
+_SDO_REPLIES = DRIVES.get_constant("DRIVES_SDO_REPLIES")
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Drives:
         faults = [_make_text(fault.varied.name) for fault in scene.faults]
         fault = DRIVES.ffi.new("char *[]", faults)
         self._referenced = names, places, inputs, faults, fault  # they must outlive the drives
-        self._machine = DRIVES.new(
+        self._machine = DRIVES.make_struct(
             "drives_machine",
             bus=bus,
             home_offset=_HOME_OFFSETS[scene.home_offset],
@@ -272,11 +272,13 @@ def _make_joints(scene: Scene, servo: ServoConfig) -> ServoRows:
     """Return rows of ``drives_joint`` in the scene's order of joints; names are left out."""
     servo_joints = {joint.name: joint for joint in servo.joints}
     reported = tuple(servo_joints[name] for name in scene.joint_names)
-    rows = DRIVES.rows("drives_joint", len(reported))
-    rows["servo"] = servo_numbers(reported, servo.period, servo.supply_voltage)
+    rows = DRIVES.make_rows("drives_joint", len(reported))
+    rows["servo"] = make_servo_numbers(reported, servo.period, servo.supply_voltage)
     limits = read_shaft_limits(scene.urdf, scene.joint_names)
     for row, joint, takes in zip(rows, scene.joints, list_modes(scene), strict=True):
-        if not math.isfinite(servo_joints[joint.name].largest_command(servo.supply_voltage)):
+        if not math.isfinite(
+            servo_joints[joint.name].compute_largest_command(servo.supply_voltage)
+        ):
             where = f"servo.joints.{joint.name}.current_limit"
             rule = "be given: the rated torque of its drive (0x6076) follows from it"
             raise Refusal(scene.where, where, rule, "nothing")

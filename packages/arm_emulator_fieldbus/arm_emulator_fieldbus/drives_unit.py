@@ -23,8 +23,8 @@ DRIVES_FLAGS = (
 SOURCE = f'#include "tick.c"\n#include "servo.c"\n{declared.write_source()}#include "drives.hpp"\n'
 
 DRIVES = Header(DRIVES_CORE / "drives.h", (*TICK_FOLDERS, SERVO_FOLDER))
-ETHERCAT, CANOPEN = map(DRIVES.constant, ("DRIVES_ETHERCAT", "DRIVES_CANOPEN"))
-UNITS = DRIVES.constant("DRIVES_UNITS")
+ETHERCAT, CANOPEN = map(DRIVES.get_constant, ("DRIVES_ETHERCAT", "DRIVES_CANOPEN"))
+UNITS = DRIVES.get_constant("DRIVES_UNITS")
 
 
 def drives_unit(

@@ -58,7 +58,7 @@ class Segment:
         self.lockstep = lockstep
         self.drives = Drives(Plant(scene), servo, ETHERCAT, self._calls)
         period = round(scene.servo_period * 1e9)
-        options = SEGMENT.new(
+        options = SEGMENT.make_struct(
             "ethercat_options", lockstep=lockstep, all=self.drives.pointer, period=period
         )
         self.pointer = self._calls.ethercat_new(options)
@@ -88,7 +88,7 @@ class Segment:
     @property
     def figures(self) -> CData:
         """Counters of the segment since its creation, as ``ethercat_figures``."""
-        out = SEGMENT.new("ethercat_figures")
+        out = SEGMENT.make_struct("ethercat_figures")
         self._calls.ethercat_get_figures(self.pointer, out)
         return out
 

@@ -77,7 +77,7 @@ def list_entries() -> tuple[ObjectEntry, ...]:
 
 def read_entries(calls: Library) -> Iterator[ObjectEntry]:
     """Yield the entries that a library with drives has, in ascending order."""
-    entry, slot = DRIVES.new("drives_entry"), 0
+    entry, slot = DRIVES.make_struct("drives_entry"), 0
     while calls.drives_list(slot, entry):
         yield ObjectEntry(
             entry.index,
@@ -107,7 +107,7 @@ def modes() -> tuple[LoopMode, ...]:
 
 
 def _read_modes(calls: Library) -> Iterator[LoopMode]:
-    mode, row = DRIVES.new("drives_mode"), 0
+    mode, row = DRIVES.make_struct("drives_mode"), 0
     while calls.drives_list_mode(row, mode):
         loops = tuple(loop for bit, loop in enumerate(ServoLoop) if mode.loops >> bit & 1)
         yield LoopMode(mode.number, c_text(mode.name), loops)

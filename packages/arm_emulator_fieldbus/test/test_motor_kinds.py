@@ -141,11 +141,11 @@ def test_a_step_is_the_linear_prediction(kind: str) -> None:
         drives.reset()
         for tick in range(ROWS):
             measured = session.measured
-            drives.measure(
+            drives.take_measurement(
                 session.logical_ns, measured.encoder_counts, measured.current, measured.applied
             )
-            drives.aim(Target(target + offset))
-            command = drives.command(session.powered)
+            drives.set_target(Target(target + offset))
+            command = drives.compute_commands(session.powered)
             session.offer(tick, list(scene.joint_names), command.tolist())
             session.advance()
             q.append(session.state.q)

@@ -51,7 +51,7 @@ PINS = ("enable", "brake", "fault", "powered")
 
 _Entry = TypeVar("_Entry")
 _KINDS = {
-    word: RUNNER.constant(kind)
+    word: RUNNER.get_constant(kind)
     for word, kind in {
         "flash": "MCU_FLASH", "ram": "MCU_RAM", "registers": "MCU_REGISTERS",
         "code_ram": "MCU_CODE_RAM", "float": "MCU_VOLTS", "bipolar": "MCU_BIPOLAR",
@@ -150,7 +150,7 @@ class _Reader:
         if (mailbox := self._mailbox()) is not None:
             fields["mailbox"] = mailbox
         names = [name for name, _ in self._sections(top, "uart")]
-        top.finish()
+        top.refuse_unread_keys()
         if sum(uart["targets"] for uart in rows["uart"]) > 1:
             raise Refusal(top.where, "uart", "bring targets on one line at most", "several")
         joints = [channel["joint"] for channel in self._channels]
@@ -167,7 +167,7 @@ class _Reader:
             region.at <= at <= region.at + region.size - size for region in memory
         ):
             rule = f"be a multiple of 128 with {size} bytes of memory from there on"
-            raise self._top.refusal("vectors", rule, hex(at))
+            raise self._top.make_refusal("vectors", rule, hex(at))
         return at
 
     def _memory(self, name: str, section: Section) -> Region:
@@ -180,14 +180,14 @@ class _Reader:
         at, size = _read_word(section, "at"), _read_word(section, "size")
         for key, value in (("at", at), ("size", size)):
             if value % PAGE:
-                raise section.refusal(key, f"be a multiple of {PAGE} bytes", hex(value))
+                raise section.make_refusal(key, f"be a multiple of {PAGE} bytes", hex(value))
         if not 0 < size <= LARGEST:
-            raise section.refusal("size", f"be from {PAGE} to {LARGEST:#x} bytes", hex(size))
+            raise section.make_refusal("size", f"be from {PAGE} to {LARGEST:#x} bytes", hex(size))
         if at + size > PRIVATE:
             rule = f"end at or below {PRIVATE:#x}, where the processor's own registers are"
-            raise section.refusal("at", rule, f"{at:#x} to {at + size:#x}")
+            raise section.make_refusal("at", rule, f"{at:#x} to {at + size:#x}")
         if kind == "registers" and at == 0:
-            raise section.refusal("at", "be > 0", hex(at))
+            raise section.make_refusal("at", "be > 0", hex(at))
         return Region(name, at, size, kind)
 
     def _word(self, _name: str, section: Section) -> Row:
@@ -213,26 +213,26 @@ class _Reader:
         status = self._own_if_given(section, "status")
         control = self._own_if_given(section, "control")
         for key, needs in (("flag", status), ("enable", control), ("interrupt", status)):
-            if section.has(key) and not needs:
+            if section.has_key(key) and not needs:
                 register = "control" if key == "enable" else "status"
-                raise section.refusal(
+                raise section.make_refusal(
                     key, f"be given together with `{register}`, a register", "none"
                 )
         return {
             "status": status,
-            "flag": section.integer(_BIT.named("flag")) if status else 0,
+            "flag": section.read_integer(_BIT.rename("flag")) if status else 0,
             "control": control,
-            "enable": section.integer(_BIT.named("enable")) if control else 0,
+            "enable": section.read_integer(_BIT.rename("enable")) if control else 0,
             "interrupt": self._interrupt(section),
-            "clear_by_one": section.choice("clear", ("zero", "one"), "zero") == "one",
+            "clear_by_one": section.read_choice("clear", ("zero", "one"), "zero") == "one",
         }
 
     def _channel(self, section: Section) -> Row:
         at = self._own(section, "at")
-        if section.choice("holds", ("counts", "float"), "counts") == "float":
+        if section.read_choice("holds", ("counts", "float"), "counts") == "float":
             return {"at": at, "bits": 0}
         numbers = _read_numbers(section, CHANNEL)
-        section.number(replace(CHANNEL[-1], at_most=2 ** numbers["bits"] - 1))
+        section.read_number(replace(CHANNEL[-1], at_most=2 ** numbers["bits"] - 1))
         return {"at": at, **numbers}
 
     def _pwm(self, joint: str, section: Section) -> Row:
@@ -245,29 +245,29 @@ class _Reader:
             "compare": self._register(section, "compare"),
             "reload": self._register(section, "reload") if counted else 0,
         }
-        aligned = section.choice("aligned", ("edge", "center"), "edge") if counted else ""
+        aligned = section.read_choice("aligned", ("edge", "center"), "edge") if counted else ""
         row |= {
             "counts_more": aligned == "edge",
             "minus": self._register(section, "minus") if kind == "pair" else 0,
             "direction": self._register(section, "direction") if unipolar else 0,
-            "direction_bit": section.integer(_BIT.named("direction_bit")) if unipolar else 0,
+            "direction_bit": section.read_integer(_BIT.rename("direction_bit")) if unipolar else 0,
         }
         if not counted:
             row["full_scale"] = 0.0
-        elif section.has("full_scale"):
-            row["full_scale"] = section.number(_FULL_SCALE)
+        elif section.has_key("full_scale"):
+            row["full_scale"] = section.read_number(_FULL_SCALE)
         return row
 
     def _pin(self, _name: str, section: Section) -> Row:
         kind = _choose(section, "is", PINS)
-        joint = section.text("joint") if section.has("joint") else ""
+        joint = section.read_text("joint") if section.has_key("joint") else ""
         if joint:
             self._check_joint(section, "joint", joint)
         return {
             "joint": self._joints.index(joint) if joint else -1,
             "kind": _KINDS[kind],
-            "bit": section.integer(_BIT),
-            "low": section.choice("active", ("high", "low"), "high") == "low",
+            "bit": section.read_integer(_BIT),
+            "low": section.read_choice("active", ("high", "low"), "high") == "low",
             "at": self._register(section, "at"),
         }
 
@@ -283,11 +283,11 @@ class _Reader:
         return {**row, **_read_numbers(section, UART)}
 
     def _mailbox(self) -> Row | None:
-        section = self._top.section("targets")
+        section = self._top.get_section("targets")
         if section is None:
             return None
-        joints = section.required_section("joints")
-        names = joints.keys()
+        joints = section.require_section("joints")
+        names = joints.list_keys()
         for joint in names:
             self._check_joint(section, "joints", joint)
         at = {joint: self._own(joints, joint) for joint in names}
@@ -298,16 +298,16 @@ class _Reader:
         }
 
     def _interrupt(self, section: Section) -> int:
-        return section.integer(replace(_INTERRUPT, at_most=self._interrupts - 1))
+        return section.read_integer(replace(_INTERRUPT, at_most=self._interrupts - 1))
 
     def _check_joint(self, section: Section, key: str, joint: str) -> None:
         if joint not in self._joints:
             rule = "name joints of the scene"
-            raise section.refusal(key, rule, joint, ", ".join(self._joints))
+            raise section.make_refusal(key, rule, joint, ", ".join(self._joints))
 
     def _of_joints(self, key: str, read: Callable[[str, Section], _Entry]) -> tuple[_Entry, ...]:
-        section = self._top.section(key)
-        for joint in section.keys() if section else ():
+        section = self._top.get_section(key)
+        for joint in section.list_keys() if section else ():
             self._check_joint(self._top, key, joint)
         return self._entries(key, read)
 
@@ -316,21 +316,21 @@ class _Reader:
 
     @staticmethod
     def _sections(above: Section, key: str) -> list[tuple[str, Section]]:
-        section = above.section(key)
-        names = section.keys() if section else []
+        section = above.get_section(key)
+        names = section.list_keys() if section else []
         if len(names) > MAX_ENTRIES:
-            raise above.refusal(key, f"have at most {MAX_ENTRIES} entries", len(names))
-        return [(name, section.required_section(name)) for name in names] if section else []
+            raise above.make_refusal(key, f"have at most {MAX_ENTRIES} entries", len(names))
+        return [(name, section.require_section(name)) for name in names] if section else []
 
     def _own_if_given(self, section: Section, key: str) -> int:
-        return self._own(section, key) if section.has(key) else 0
+        return self._own(section, key) if section.has_key(key) else 0
 
     def _own(self, section: Section, key: str) -> int:
         """Return the address of a register that nothing else uses."""
         at = self._register(section, key)
         if at in self._used:
             rule = "be a register of its own, not the one of another key"
-            raise section.refusal(key, rule, hex(at))
+            raise section.make_refusal(key, rule, hex(at))
         self._used.add(at)
         return at
 
@@ -339,28 +339,28 @@ class _Reader:
         if at % 4 or not any(block.at <= at < block.at + block.size for block in self._blocks):
             blocks = ", ".join(f"{b.name} from {b.at:#x}" for b in self._blocks) or "no block"
             rule = "be a multiple of 4 within a block of `registers`"
-            raise section.refusal(key, rule, hex(at), blocks)
+            raise section.make_refusal(key, rule, hex(at), blocks)
         return at
 
 
 def _choose(section: Section, key: str, values: tuple[str, ...], default: str = "") -> str:
     """Return one of some words, which must be there unless the default is one of them."""
-    value = section.choice(key, values, default)
+    value = section.read_choice(key, values, default)
     if value not in values:
-        raise section.refusal(key, "be there", "nothing", ", ".join(values))
+        raise section.make_refusal(key, "be there", "nothing", ", ".join(values))
     return value
 
 
 def _read_numbers(section: Section, declared: Sequence[Number]) -> Row:
-    return {number.name: section.number(number) for number in declared}
+    return {number.name: section.read_number(number) for number in declared}
 
 
 def _read_word(section: Section, key: str, default: int | None = None) -> int:
     """Return a whole number of 32 bits, written as 0x40000000 or in decimal."""
-    value = section.value(key)
+    value = section.read_value(key)
     if isinstance(value, str) and re.fullmatch(r"0[xX][0-9a-fA-F]{1,8}", value):
         return int(value, 16)
-    return section.integer(
+    return section.read_integer(
         replace(_WORD, name=key, default=REQUIRED if default is None else default)
     )
 
@@ -399,10 +399,12 @@ def make_board_struct(
         fields[f"{name}s"] = len(some)
     if "mailbox" in fields:
         at = arrays["at"] = RUNNER.ffi.new("uint32_t[]", fields["mailbox"]["at"])
-        mailbox = RUNNER.new("mcu_mailbox", **{**fields["mailbox"], "at": at})
+        mailbox = RUNNER.make_struct("mcu_mailbox", **{**fields["mailbox"], "at": at})
         fields["mailbox"] = arrays["mailbox"] = mailbox
     period = round(scene.servo_period * 1e9)
-    return RUNNER.new("mcu_board", joints=len(scene.joints), period=period, **fields), arrays
+    return RUNNER.make_struct(
+        "mcu_board", joints=len(scene.joints), period=period, **fields
+    ), arrays
 
 
 def _find_full_scale(pwm: Row, scene: Scene) -> float:

@@ -135,7 +135,7 @@ class Microcontroller(ControlCode):
     @property
     def fault(self) -> str:
         """The fault that ended the firmware, or the first one it handled itself; "" for none."""
-        fault = RUNNER.new("mcu_fault")
+        fault = RUNNER.make_struct("mcu_fault")
         self._calls.mcu_get_fault(self.with_, fault)
         if not c_text(fault.what):
             return ""
@@ -146,6 +146,6 @@ class Microcontroller(ControlCode):
     @property
     def figures(self) -> CData:
         """Counters of the processor so far, as ``mcu_figures``."""
-        figures = RUNNER.new("mcu_figures")
+        figures = RUNNER.make_struct("mcu_figures")
         self._calls.mcu_get_figures(self.with_, figures)
         return figures

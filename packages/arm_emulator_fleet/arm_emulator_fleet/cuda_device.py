@@ -141,7 +141,7 @@ class CudaDevice(Device):
             self.name = c_text(name)
             self._context = driver.get("cuDevicePrimaryCtxRetain", "CUcontext *", device)
             self.units, major, minor = (
-                driver.get("cuDeviceGetAttribute", "int *", DRIVER.constant(attribute), device)
+                driver.get("cuDeviceGetAttribute", "int *", DRIVER.get_constant(attribute), device)
                 for attribute in (
                     "CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT",
                     "CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR",
@@ -156,7 +156,7 @@ class CudaDevice(Device):
         return CudaModule(self, image)
 
     def set_stack(self, size: int) -> None:  # noqa: D102
-        where, limit = "Device.set_stack", DRIVER.constant("CU_LIMIT_STACK_SIZE")
+        where, limit = "Device.set_stack", DRIVER.get_constant("CU_LIMIT_STACK_SIZE")
         size = check_count(where, "size", size, 0, LARGEST_MEMORY)
         with self.current():
             # Others who share the context may need what it is now.
@@ -177,7 +177,7 @@ class CudaDevice(Device):
 
     def has_address(self, pointer: int) -> bool:  # noqa: D102
         ordinal = DRIVER.ffi.new("int *", -1)
-        attribute = DRIVER.constant("CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL")
+        attribute = DRIVER.get_constant("CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL")
         with self.current():
             self.driver.call_quietly("cuPointerGetAttribute", ordinal, attribute, pointer)
         return bool(ordinal[0] == self.dlpack[1])
@@ -214,7 +214,7 @@ class CudaDevice(Device):
             try:
                 pointer = self.driver.get("cuMemAlloc_v2", "CUdeviceptr *", size)
             except DeviceError as error:
-                if error.code != DRIVER.constant("CUDA_ERROR_OUT_OF_MEMORY"):
+                if error.code != DRIVER.get_constant("CUDA_ERROR_OUT_OF_MEMORY"):
                     raise
                 total = DRIVER.ffi.new("size_t *")
                 left = self.driver.get("cuMemGetInfo_v2", "size_t *", total)
@@ -260,7 +260,7 @@ class CudaModule(Module):
         ffi = DRIVER.ffi
         log = ffi.new("char[]", LONGEST_LOG)
         names = "CU_JIT_ERROR_LOG_BUFFER", "CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES"
-        options = ffi.new("int[]", [DRIVER.constant(name) for name in names])
+        options = ffi.new("int[]", [DRIVER.get_constant(name) for name in names])
         values = ffi.new("void *[]", [log, ffi.cast("void *", LONGEST_LOG)])
         with device.current():
             try:
@@ -269,7 +269,7 @@ class CudaModule(Module):
                     "cuModuleLoadDataEx", "CUmodule *", content + b"\0", len(names), options, values
                 )
             except DeviceError as error:
-                if error.code not in [DRIVER.constant(name) for name in REFUSED_IMAGES]:
+                if error.code not in [DRIVER.get_constant(name) for name in REFUSED_IMAGES]:
                     raise
                 rule = f"be PTX or cubin for {device.name} ({device.architecture})"
                 message = " ".join(filter(None, [str(error), c_text(log)]))
@@ -298,7 +298,7 @@ class CudaModule(Module):
             try:
                 return self._driver.get(function, kind, *arguments)
             except DeviceError as error:
-                if error.code != DRIVER.constant("CUDA_ERROR_NOT_FOUND"):
+                if error.code != DRIVER.get_constant("CUDA_ERROR_NOT_FOUND"):
                     raise
                 return None
 
@@ -313,7 +313,9 @@ class CudaModule(Module):
             }
 
     def _attribute(self, function: CData, name: str) -> int:
-        return int(self._driver.get("cuFuncGetAttribute", "int *", DRIVER.constant(name), function))
+        return int(
+            self._driver.get("cuFuncGetAttribute", "int *", DRIVER.get_constant(name), function)
+        )
 
     def _launch(
         self,

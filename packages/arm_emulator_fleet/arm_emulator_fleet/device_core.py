@@ -20,16 +20,16 @@ from arm_emulator_fleet.device_array import DeviceArray
 from arm_emulator_fleet.load_kernels import load_parts
 from arm_emulator_fleet.unit import FLEET, KERNELS, NATIVE, build_card_units
 
-OK = ARM.constant("ARM_OK")
-_COMMAND = ARM.sizeof("arm_joint_command")
-NONE_REFUSED = KERNELS.constant("FLEET_NONE_REFUSED")
+OK = ARM.get_constant("ARM_OK")
+_COMMAND = ARM.get_size("arm_joint_command")
+NONE_REFUSED = KERNELS.get_constant("FLEET_NONE_REFUSED")
 _UNDER_ROWS, _UNDER_ZOH_COMMANDS, _UNDER_CONTROL = (
-    KERNELS.constant(f"FLEET_UNDER_{name}") for name in ("ROWS", "HELD_COMMANDS", "CONTROL")
+    KERNELS.get_constant(f"FLEET_UNDER_{name}") for name in ("ROWS", "HELD_COMMANDS", "CONTROL")
 )
 ALIGNMENT = 256  # bytes, of an object in the pool of kernel.hpp
 HALVED = 8  # one arm in so many may halve its steps
 MIN_HALVED = 4096  # arms that may, in any fleet
-_QUEUE_BEGINS = KERNELS.constant("FLEET_QUEUE_BEGINS")
+_QUEUE_BEGINS = KERNELS.get_constant("FLEET_QUEUE_BEGINS")
 _Call = tuple[str, Mapping[str, Any]]  # a kernel, and values of its struct
 # Bytes of a thread: 6 kB for three_axis; 88 kB for panda with located events, where steps that are
 # halved call themselves. A card keeps as many for every thread that it can hold.
@@ -118,7 +118,7 @@ class DeviceCore:
         if self.device.architecture != NATIVE:  # a processor has its heap
             ends = np.array([pool.pointer, pool.pointer + size], np.uint64)
             self.device.write(self._module.global_memory("arm_pool"), ends)
-        own = ARM.new("arm_options")
+        own = ARM.make_struct("arm_options")
         own[0] = options[0]
         numbers = self.copy_in(options.parameters, 8 * count * len(self._scene.varied))
         own.parameters = cast_pointer(numbers)
@@ -144,7 +144,7 @@ class DeviceCore:
     def arm_why(self, arm: tuple[DeviceFleet, int], why: CData) -> int:
         """Write why an arm refused the newest call."""
         fleet, index = arm
-        room = self.device.allocate(ARM.sizeof("arm_refusal"))
+        room = self.device.allocate(ARM.get_size("arm_refusal"))
         self.launch("fleet_tell_why", 1, fleet=fleet.memory, arm=index, why=room)
         self._copy_out(room, why, room.size)
         return OK
@@ -192,7 +192,7 @@ class DeviceCore:
         self, fleet: DeviceFleet, mask: CData, link: int, wrench: CData
     ) -> int:
         """See core/arm_fleet.h; the link is one, and the wrench finite."""
-        wrenches = self.copy_in(wrench, fleet.count * ARM.sizeof("arm_wrench"))
+        wrenches = self.copy_in(wrench, fleet.count * ARM.get_size("arm_wrench"))
         mask = self._mask(fleet, mask)
         self._launch_on(fleet, "fleet_set_wrench", mask=mask, link=link, wrench=wrenches)
         return OK
@@ -394,7 +394,9 @@ class DeviceCore:
 
         Measurement and truth have pointers of the device.
         """
-        own = FLEET.new("arm_fleet_way", look=schedule.look, **{"with": getattr(schedule, "with")})
+        own = FLEET.make_struct(
+            "arm_fleet_way", look=schedule.look, **{"with": getattr(schedule, "with")}
+        )
         links, stays = None, arms < fleet.count  # rows of the others stay as they are
         if schedule.links != NULL:
             links = self.device.allocate(8 * periods * fleet.count * self._N)
@@ -442,10 +444,10 @@ class DeviceCore:
         if schedule.change == NULL:
             return
         count = int(schedule.first_change[fleet.count])
-        size = count * FLEET.sizeof("arm_fleet_change")
-        changes = view_bytes(schedule.change, size).view(FLEET.dtype("arm_fleet_change")).copy()
+        size = count * FLEET.get_size("arm_fleet_change")
+        changes = view_bytes(schedule.change, size).view(FLEET.get_dtype("arm_fleet_change")).copy()
         pushes = np.flatnonzero(changes["wrench"])
-        each = ARM.sizeof("arm_wrench")
+        each = ARM.get_size("arm_wrench")
         wrenches = np.zeros((1, each), np.uint8)
         if len(pushes):
             # One gather by addresses: a loop over wrenches would take longer than their runs.
@@ -478,7 +480,7 @@ class DeviceCore:
 
     def _show(self, fleet: DeviceFleet, name: str, struct: CData, sizes: dict[str, int]) -> int:
         """Fill a struct of the processor."""
-        own = FLEET.new(f"arm_fleet_{name}")
+        own = FLEET.make_struct(f"arm_fleet_{name}")
         back: list[tuple[Memory, CData, int]] = []
         for field, size in sizes.items():
             host = getattr(struct, field)
@@ -497,9 +499,9 @@ class DeviceCore:
             "powered": count,
             "tick": 8 * count,
             "answered": 8 * count,
-            "joint": rows * ARM.sizeof("arm_joint_measurement"),
-            "sensors": rows * ARM.sizeof("arm_joint_sensors"),
-            "imu": count * len(self._scene.imus) * ARM.sizeof("arm_imu_measurement"),
+            "joint": rows * ARM.get_size("arm_joint_measurement"),
+            "sensors": rows * ARM.get_size("arm_joint_sensors"),
+            "imu": count * len(self._scene.imus) * ARM.get_size("arm_imu_measurement"),
             "current_d": 8 * rows,
             "readings": 8 * rows * self._count_readings(),
             "further": 8 * rows * self._count_inputs(),
@@ -573,7 +575,7 @@ def _make_call(kernel: str, **values: Any) -> CData:
         name: cast_pointer(value) if isinstance(value, Memory) else value
         for name, value in values.items()
     }
-    return KERNELS.new(f"{kernel}_call", **places)
+    return KERNELS.make_struct(f"{kernel}_call", **places)
 
 
 def _view_call(call: CData) -> bytes:

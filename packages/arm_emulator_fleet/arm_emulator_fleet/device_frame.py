@@ -50,9 +50,9 @@ class DeviceFrame(FleetFrame):
         device.fill(self.powered.memory, 1)
         self.measured = DeviceMeasured(scene, count, core)
         places = {PLACES.get(name, name): cast_pointer(getattr(self, name)) for name in TRUE_VALUES}
-        self.truth = FLEET.new("arm_fleet_truth", fault=cast_pointer(self.faults), **places)
+        self.truth = FLEET.make_struct("arm_fleet_truth", fault=cast_pointer(self.faults), **places)
         powered = cast_pointer(self.powered)
-        self.measurement = FLEET.new(
+        self.measurement = FLEET.make_struct(
             "arm_fleet_measurement", powered=powered, **self.measured.places
         )
 

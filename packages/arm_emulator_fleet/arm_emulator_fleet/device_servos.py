@@ -25,7 +25,7 @@ class DeviceServos:
 
     def __init__(self, core: DeviceCore) -> None:
         self._core, self._device = core, core.device
-        self._servos = self._device.allocate(SERVOS.sizeof("servo_fleet"))
+        self._servos = self._device.allocate(SERVOS.get_size("servo_fleet"))
         self.pointer = cast_pointer(self._servos)
         self._memory: dict[str, Memory] = {}
 
@@ -59,14 +59,14 @@ class DeviceServos:
 
     def servo_fleet_retune(self, servos: CData, arm: int, joint: CData) -> None:
         """Change the numbers of the joints of an arm."""
-        size = self._joints * SERVOS.sizeof("servo_joint")
+        size = self._joints * SERVOS.get_size("servo_joint")
         gains = self._device.allocate(size)
         self._device.write(gains, view_bytes(joint, size))
         self._core.launch("servos_retune", 1, servos=self._servos, arm=arm, joint=gains)
 
     def _put(self, servos: CData) -> None:
         """Copy a struct and all that it points to."""
-        own = SERVOS.new("servo_fleet")
+        own = SERVOS.make_struct("servo_fleet")
         own[0] = servos[0]
         N, rows = self._joints, int(servos.rows)
         own.place = self._copy("place", servos.place, 4 * N)
@@ -86,9 +86,9 @@ class DeviceServos:
 
     def _put_arms(self, servos: CData) -> CData:
         """Copy the servo of each arm, and the numbers of their joints."""
-        size = SERVOS.sizeof("servo") * self._arms
-        arms = view_bytes(servos.arm, size).view(SERVOS.dtype("servo")).copy()
-        size = self._joints * SERVOS.sizeof("servo_joint")
+        size = SERVOS.get_size("servo") * self._arms
+        arms = view_bytes(servos.arm, size).view(SERVOS.get_dtype("servo")).copy()
+        size = self._joints * SERVOS.get_size("servo_joint")
         hosts, index = np.unique(arms["joint"], return_inverse=True)
         numbers = [view_bytes(SERVOS.ffi.cast("servo_joint *", int(host)), size) for host in hosts]
         joints = self._write("numbers", np.concatenate(numbers))

@@ -105,7 +105,7 @@ class Fleet(CoreMachines):
         self._abreast = self.lanes if device is None else self._count
         self._longest = max(1, PIECE * self._abreast // self._period_worth)  # periods of a piece
         self._commands = np.tile(make_commands(self.scene), (self._count, 1))
-        self._zoh_command = ARM.new("arm_command", tick=-1, joint=self._commands)
+        self._zoh_command = ARM.make_struct("arm_command", tick=-1, joint=self._commands)
         self.reset(q=q, v=v, varied=varied)
 
     def __del__(self) -> None:
@@ -231,7 +231,7 @@ class Fleet(CoreMachines):
         tick = check_count(where, "tick", tick, -1)
         check_inputs(where, self.scene, further)
         named_rows = {
-            name: self._arguments.commands(row, where, ANY_COMMAND.named(name))
+            name: self._arguments.commands(row, where, ANY_COMMAND.rename(name))
             for name, row in further.items()
         }
         others = arrange_further_rows(where, self.scene, named_rows, self._count)
@@ -239,7 +239,7 @@ class Fleet(CoreMachines):
         with self.turn:
             self._commands["value"] = rows
             places = {"joint": self._commands} | ({} if others is None else {"further": others})
-            struct = ARM.new("arm_command", tick=tick, **places)
+            struct = ARM.make_struct("arm_command", tick=tick, **places)
             self._shares.do(
                 self._period_worth, lambda *share: exchange(self._fleet, *share, struct)
             )
@@ -345,10 +345,10 @@ class Fleet(CoreMachines):
             raise Refusal(where, "way", "be a FleetWay for this fleet", way)
         if way is not None:
             self._place_look(where, way)
-        by = FLEET.new("arm_fleet_way") if way is None else way.struct
+        by = FLEET.make_struct("arm_fleet_way") if way is None else way.struct
         if arms is not None:
             arms = check_count(where, "arms", arms, 1, self._count)
-        arguments = FLEET.new(
+        arguments = FLEET.make_struct(
             "arm_fleet_control",
             joint=self._commands,
             **control.functions,
@@ -403,7 +403,7 @@ class Fleet(CoreMachines):
             raise Refusal(where, "look", rule, schedule.look_name or "a function of the processor")
         if schedule.look_name is not None:
             address = self.core.find_function(schedule.look_name)
-            FLEET.fill(schedule.struct, look=FLEET.ffi.cast(_LOOK, address))
+            FLEET.fill_struct(schedule.struct, look=FLEET.ffi.cast(_LOOK, address))
 
     def _pieces(self, periods: int) -> Iterator[tuple[int, int]]:
         """Yield begin and length of pieces between checks for Ctrl-C."""
@@ -442,7 +442,7 @@ class Fleet(CoreMachines):
             Refusal: wrong shape, not finite, or no such count; the states are as before.
         """
         where, N = "Fleet.run", self._N
-        rows = ANY_COMMANDS.numbers(where, commands)
+        rows = ANY_COMMANDS.check_numbers(where, commands)
         if rows.ndim == 2 and rows.shape[1] == N:
             rows = np.repeat(rows[:, np.newaxis], self._count, axis=1)
         if rows.ndim != 3 or rows.shape[1:] != (self._count, N):
@@ -464,7 +464,7 @@ class Fleet(CoreMachines):
     def _run(self, rows: Array, steps: int) -> Array:
         # A sum is quick, and not finite if any of them is not.
         if not np.isfinite(rows.sum()):
-            ANY_COMMANDS.check("Fleet.run", rows)
+            ANY_COMMANDS.check_values("Fleet.run", rows)
         rows = np.ascontiguousarray(rows)
         q = np.empty_like(rows)
         longest = max(1, PIECE * self._abreast // self._count)  # steps between checks for Ctrl-C

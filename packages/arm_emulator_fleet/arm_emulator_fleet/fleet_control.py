@@ -124,8 +124,8 @@ class FleetFrame:
         # Outputs that the scene does not have stay 0.
         there = {output.symbol.partition(".")[0] for output in list_outputs(scene)}
         arrays = {name: rows for name, rows in place.arrays.items() if name in there}
-        self.measurement = FLEET.new("arm_fleet_measurement", powered=powered, **arrays)
-        self.truth = FLEET.new("arm_fleet_truth", fault=self.faults, **places)
+        self.measurement = FLEET.make_struct("arm_fleet_measurement", powered=powered, **arrays)
+        self.truth = FLEET.make_struct("arm_fleet_truth", fault=self.faults, **places)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return FleetFrame, self.of[:2], self.__getstate__()

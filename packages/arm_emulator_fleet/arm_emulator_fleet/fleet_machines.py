@@ -94,7 +94,7 @@ class CoreMachines(Synchronized):
         self._fleet = self.core.arm_fleet_new(options, self._count)
         self._place = MeasuredPlace(scene, self._count)
         self._powered = np.zeros(self._count, np.uint8)
-        self._measurement = FLEET.new(
+        self._measurement = FLEET.make_struct(
             "arm_fleet_measurement", powered=self._powered, **self._place.arrays
         )
 
@@ -302,11 +302,11 @@ class CoreMachines(Synchronized):
         where = "Fleet.set_external_wrench"
         mask = choose_arms(where, arms, self._count)
         place, moved = move_to_moving_link(self.scene, where, link, wrench, self._count)
-        rows = ARM.rows("arm_wrench", self._count)
+        rows = ARM.make_rows("arm_wrench", self._count)
         rows["size"], rows["axes"] = rows.itemsize, AXES.index(moved.axes)
         for name in ("point", "force", "moment"):
             rows[name] = getattr(moved, name)
-        places = get_mask_bytes(mask), place, ARM.pointer("arm_wrench", rows)
+        places = get_mask_bytes(mask), place, ARM.make_pointer("arm_wrench", rows)
         self.core.arm_fleet_set_external_wrench(self._fleet, *places)
 
     @synchronized
@@ -414,7 +414,7 @@ class CoreMachines(Synchronized):
 
     def _look(self, **to: NDArray[Any]) -> None:
         places = {PLACES.get(name, name): rows for name, rows in to.items()}
-        self.core.arm_fleet_get_truth(self._fleet, FLEET.new("arm_fleet_truth", **places))
+        self.core.arm_fleet_get_truth(self._fleet, FLEET.make_struct("arm_fleet_truth", **places))
 
     def _refusal(self, where: str, otherwise: str) -> Refusal:
         """Return the refusal of a call for one of the arms."""
@@ -475,21 +475,21 @@ class FleetArguments:
     def column(self, where: str, name: str, values: ArrayLike, mask: NDArray[np.bool_]) -> Array:
         """Return the values of a varied number (count,), checked for those of the mask."""
         varied = find_varied(self._scene.varied, name, where)
-        numbers = varied.number.numbers(where, values)
+        numbers = varied.number.check_numbers(where, values)
         column = np.full(self._count, varied.value, np.float64)
         many = int(mask.sum())
         if numbers.shape not in ((), (many,), (self._count,)):
             shapes = " or ".join(f"({n},)" for n in sorted({many, self._count}))
             raise Refusal(where, name, f"have shape {shapes} or ()", numbers.shape)
         column[mask] = numbers[mask] if numbers.shape == (self._count,) else numbers
-        varied.number.check(where, column)
+        varied.number.check_values(where, column)
         return column
 
     def commands(self, command: Commands, where: str, bound: Number = ANY_COMMAND) -> Array:
         """Return commands (count, N), given for all arms, one each, or by names of joints."""
         ordered = order_by_joint(command, self._scene, where)
         if ordered is not command:
-            columns = [bound.numbers(where, column) for column in ordered]  # type: ignore[attr-defined]
+            columns = [bound.check_numbers(where, column) for column in ordered]  # type: ignore[attr-defined]
             if any(column.shape not in ((), (self._count,)) for column in columns):
                 shapes = [column.shape for column in columns]
                 rule = f"have shape () or ({self._count},) for each joint"
@@ -499,7 +499,7 @@ class FleetArguments:
 
     def rows(self, values: Any, mask: NDArray[np.bool_] | None, where: str, bound: Number) -> Array:
         """Return a row for each arm, checked; those of other arms than the mask's are 0."""
-        numbers = bound.numbers(where, values)
+        numbers = bound.check_numbers(where, values)
         shape = (self._count, self._N)
         many = self._count if mask is None else int(mask.sum())
         if numbers.shape not in ((self._N,), (many, self._N), shape):
@@ -512,7 +512,7 @@ class FleetArguments:
         else:
             rows = np.zeros(shape)
             rows[mask] = numbers[mask] if numbers.shape == shape else numbers
-        bound.check(where, rows)
+        bound.check_values(where, rows)
         return rows
 
 

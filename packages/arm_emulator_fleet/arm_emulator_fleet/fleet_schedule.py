@@ -25,7 +25,7 @@ from arm_emulator_fleet.fleet_machines import LARGEST_FLEET
 from arm_emulator_fleet.unit import FLEET
 
 KINDS = {
-    kind: FLEET.constant(f"ARM_CHANGES_{name}")
+    kind: FLEET.get_constant(f"ARM_CHANGES_{name}")
     for kind, name in (
         (NumberChange, "PARAMETER"), (WrenchChange, "WRENCH"), (PowerChange, "POWER")
     )
@@ -59,11 +59,11 @@ class FleetWay(NonCopyable):
         count = check_count("FleetWay", "count", count, 1, LARGEST_FLEET)
         self.of = scene, count
         self._places = {number.name: place for place, number in enumerate(scene.varied)}
-        self.struct = FLEET.new("arm_fleet_way")
+        self.struct = FLEET.make_struct("arm_fleet_way")
         self.looks, self.look_name = look is not None, look if isinstance(look, str) else None
         if look is not None:
             pointer = {} if isinstance(look, str) else {"look": look}
-            FLEET.fill(self.struct, **pointer, **{"with": NULL if with_ is None else with_})
+            FLEET.fill_struct(self.struct, **pointer, **{"with": NULL if with_ is None else with_})
         self.set_changes([()] * count)
 
     def __repr__(self) -> str:
@@ -97,7 +97,7 @@ class FleetWay(NonCopyable):
                 if isinstance(change, NumberChange):
                     varied = find_varied(scene.varied, change.name, where)
                     kind, place = KINDS[NumberChange], self._places[change.name]
-                    value = varied.number.take(where, change.value)
+                    value = varied.number.check_value(where, change.value)
                 elif isinstance(change, WrenchChange):
                     kind = KINDS[WrenchChange]
                     place, moved = move_to_moving_link(scene, where, change.link, change.wrench)
@@ -118,9 +118,9 @@ class FleetWay(NonCopyable):
         wrenches: list[tuple[int, int, ExternalWrench]],
     ) -> None:
         """Put the changes where the core finds them."""
-        self._rows = FLEET.rows("arm_fleet_change", max(1, len(rows)))
+        self._rows = FLEET.make_rows("arm_fleet_change", max(1, len(rows)))
         self._first = np.array(first, np.int64)
-        self._wrenches = ARM.rows("arm_wrench", max(1, len(wrenches)))
+        self._wrenches = ARM.make_rows("arm_wrench", max(1, len(wrenches)))
         if rows:
             for name, column in zip(
                 ("tick", "kind", "place", "value"), zip(*rows, strict=True), strict=True
@@ -134,8 +134,8 @@ class FleetWay(NonCopyable):
                 of[name] = [getattr(change, name) for change in moved]
             began = of.__array_interface__["data"][0]
             self._rows["wrench"][list(at)] = began + of.itemsize * np.arange(len(of))
-        FLEET.fill(
+        FLEET.fill_struct(
             self.struct,
-            change=FLEET.pointer("arm_fleet_change", self._rows),
+            change=FLEET.make_pointer("arm_fleet_change", self._rows),
             first_change=self._first,
         )

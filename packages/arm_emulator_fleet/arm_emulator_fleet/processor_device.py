@@ -151,7 +151,7 @@ def _load_copy(content: bytes) -> CData:
         with tempfile.TemporaryDirectory() as folder:
             link = Path(folder, "kernels.so")
             link.symlink_to(f"/proc/self/fd/{copy}")
-            library = loader.dlopen(bytes(link), _LOADER.constant("RTLD_NOW"))
+            library = loader.dlopen(bytes(link), _LOADER.get_constant("RTLD_NOW"))
             if not library:
                 raise OSError(c_text(loader.dlerror()))
             return library
@@ -162,7 +162,7 @@ def _load_copy(content: bytes) -> CData:
 def _measure_symbol(address: CData) -> int:
     """Return the size of a variable of a loaded library [bytes]."""
     about, entry = _LOADER.ffi.new("Dl_info *"), _LOADER.ffi.new("void **")
-    loader, kind = _load_loader(), _LOADER.constant("RTLD_DL_SYMENT")
+    loader, kind = _load_loader(), _LOADER.get_constant("RTLD_DL_SYMENT")
     if not loader.dladdr1(address, about, entry, kind) or not entry[0]:
         return 0
     return int(_LOADER.ffi.cast("Elf64_Sym *", entry[0]).st_size)

@@ -34,7 +34,7 @@ from arm_emulator.extension.runs import (
     check_servo,
     count_nanoseconds,
     load_servo_config,
-    servo_numbers,
+    make_servo_numbers,
 )
 from arm_emulator.extension.runs import ServoDrives as ServoArm
 from arm_emulator_fleet.fleet import Fleet
@@ -127,7 +127,7 @@ class ServoFleet(FleetControl):
         for k in range(count):
             self._arms[k] = drives[k % len(drives)].servo.arm[0]
         self._rows: tuple[Any, ...] = ()
-        self.struct: CData = SERVOS.new(
+        self.struct: CData = SERVOS.make_struct(
             "servo_fleet",
             joints=N,
             arm=self._arms,
@@ -176,8 +176,8 @@ class ServoFleet(FleetControl):
         if every * self._period > self._hold_after:
             rule = f"be at most {int(self._hold_after / self._period)}: hold_after of the servo"
             raise Refusal(where, "every", rule, every)
-        rows = [self._targets(where, POSITION.named("q"), q)]
-        for bound, values in ((VELOCITY.named("v"), v), (EFFORT.named("tau"), tau)):
+        rows = [self._targets(where, POSITION.rename("q"), q)]
+        for bound, values in ((VELOCITY.rename("v"), v), (EFFORT.rename("tau"), tau)):
             targets = None if values is None else self._targets(where, bound, values)
             if targets is not None and targets.shape != rows[0].shape:
                 raise Refusal(
@@ -188,7 +188,7 @@ class ServoFleet(FleetControl):
         self.struct.since = NULL
         of_arms = rows[0].ndim == 3
         places = [NULL if row is None else pointer(row) for row in rows]
-        SERVOS.fill(
+        SERVOS.fill_struct(
             self.struct,
             rows=len(rows[0]),
             periods_per_row=every,
@@ -218,8 +218,8 @@ class ServoFleet(FleetControl):
         where = "ServoFleet.aim_at"
         periods = check_whole_numbers(where, "since", since)
         places = check_whole_numbers(where, "first", first)
-        rows = POSITION.named("q").numbers(where, q)
-        POSITION.named("q").check(where, rows)
+        rows = POSITION.rename("q").check_numbers(where, q)
+        POSITION.rename("q").check_values(where, rows)
         shape = len(periods), self._N
         if rows.shape != shape:
             raise Refusal(where, "q", f"have shape {shape}", rows.shape)
@@ -232,7 +232,7 @@ class ServoFleet(FleetControl):
             raise Refusal(where, "since", "ascend from 0 for each arm", periods)
         self._rows = np.ascontiguousarray(rows[:, self._place]), periods, places
         self._row = places[:-1].copy()
-        SERVOS.fill(
+        SERVOS.fill_struct(
             self.struct,
             q=self._rows[0],
             since=periods,
@@ -254,17 +254,17 @@ class ServoFleet(FleetControl):
         where = "ServoFleet.retune"
         arm = check_count(where, "arm", arm, 0, self._count - 1)
         check_joints(where, config, self._joint_names)
-        rows = servo_numbers(config.joints, config.period, config.supply_voltage)
-        joints = SERVOS.pointer("servo_joint", rows)
+        rows = make_servo_numbers(config.joints, config.period, config.supply_voltage)
+        joints = SERVOS.make_pointer("servo_joint", rows)
         self._calls.servo_fleet_retune(self.struct, arm, joints)
 
     def _targets(self, where: str, bound: Number, values: ArrayLike) -> Array:
-        numbers = bound.numbers(where, values)
+        numbers = bound.check_numbers(where, values)
         shapes = (self._N,), (self._count, self._N)
         if numbers.ndim not in (2, 3) or numbers.shape[1:] not in shapes or not len(numbers):
             rule = f"have shape (K, {self._N}) or (K, {self._count}, {self._N})"
             raise Refusal(where, bound.name, rule, numbers.shape)
-        bound.check(where, numbers)
+        bound.check_values(where, numbers)
         return np.ascontiguousarray(numbers[..., self._place])
 
     def reset(self, arms: ArrayLike | None = None) -> None:

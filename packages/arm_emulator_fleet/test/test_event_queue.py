@@ -37,7 +37,7 @@ def queued(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         if kernel != "fleet_advance_smoothly":
             return
         call = KERNELS.ffi.from_buffer("fleet_advance_call *", given[0])
-        begin = KERNELS.constant("FLEET_QUEUE_BEGINS")
+        begin = KERNELS.get_constant("FLEET_QUEUE_BEGINS")
         address = int(KERNELS.ffi.cast("uintptr_t", call.queue))
         queue = np.ctypeslib.as_array((ctypes.c_int32 * (begin + threads)).from_address(address))
         length = int(queue[call.period % 2])

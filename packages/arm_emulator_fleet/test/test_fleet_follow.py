@@ -99,10 +99,12 @@ def test_every_arm_moves_as_machine_and_servo_alone(scene: Scene, device: str | 
                 plant.powered = not (off[arm] and tick == 100)
             observed = plant.measured
             counts, now = observed.encoder_counts, round(tick * scene.servo_period * 1e9)
-            drives.measure(now, counts, observed.current, observed.applied, observed.brake_closed)
+            drives.take_measurement(
+                now, counts, observed.current, observed.applied, observed.brake_closed
+            )
             if tick % 2 == 0:
-                drives.aim(Target(q[tick, arm], v[tick, arm]))
-            plant.exchange(drives.command(plant.powered))
+                drives.set_target(Target(q[tick, arm], v[tick, arm]))
+            plant.exchange(drives.compute_commands(plant.powered))
             rested += int((plant.state.v == 0.0).sum())
             np.testing.assert_array_equal(links[tick, arm], plant.state.q, f"{arm} {tick}")
     assert rested > 100, f"joints rest in {rested} periods: the test relies on that"
@@ -128,7 +130,7 @@ def test_rows_that_state_their_periods_hold_from_these_on(three_axis: Scene) -> 
         plant, drives = Plant(three_axis), ServoArm(servo)
         for tick in range(periods):
             observed, now = plant.measured, round(tick * three_axis.servo_period * 1e9)
-            drives.measure(
+            drives.take_measurement(
                 now,
                 observed.encoder_counts,
                 observed.current,
@@ -136,8 +138,8 @@ def test_rows_that_state_their_periods_hold_from_these_on(three_axis: Scene) -> 
                 observed.brake_closed,
             )
             row = np.flatnonzero(since[arm] <= tick)[-1]
-            drives.aim(Target(q[arm, row]))
-            plant.exchange(drives.command(plant.powered))
+            drives.set_target(Target(q[arm, row]))
+            plant.exchange(drives.compute_commands(plant.powered))
             np.testing.assert_array_equal(links[tick, arm], plant.state.q, f"{arm} {tick}")
 
 

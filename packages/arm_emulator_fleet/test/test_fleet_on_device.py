@@ -666,5 +666,5 @@ def test_a_thread_gets_the_stack_that_the_kernels_need(located: Scene, fleet_car
     card = open_device.open_device("test", "gpu")
     assert isinstance(card, CudaDevice)
     with card.current():
-        limit = DRIVER.constant("CU_LIMIT_STACK_SIZE")
+        limit = DRIVER.get_constant("CU_LIMIT_STACK_SIZE")
         assert card.driver.get("cuCtxGetLimit", "size_t *", limit) >= STACK_WITH_EVENTS

@@ -13,7 +13,7 @@ from arm_emulator import load_scene, load_servo_config
 from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.machine.plant.compiler import compile_ahead
 from arm_emulator.servo.c import FOLDER
-from arm_emulator.servo.servo_numbers import servo_numbers
+from arm_emulator.servo.servo_numbers import make_servo_numbers
 from arm_emulator.tick.c import FOLDERS
 from arm_emulator.toolchain.compiler_command import find_compiler
 from arm_emulator.toolchain.unit import compile_units
@@ -23,7 +23,7 @@ SOURCES = ROOT / "packages/arm_emulator_hardware/src"
 CHECKS = "-g -O1 -fsanitize=address,undefined -fno-sanitize-recover=all"
 FLAGS = "-std=c++17 -Wall -Wextra -Wpedantic -Werror".split()
 SERVO = load_servo_config(ROOT / "config/servo/three_axis.yaml")
-NUMBERS = servo_numbers(SERVO.joints, SERVO.period, SERVO.supply_voltage)
+NUMBERS = make_servo_numbers(SERVO.joints, SERVO.period, SERVO.supply_voltage)
 N = len(load_scene("three_axis").joints)
 READING = ("q", "v", "effort", "current", "counts", "true_q", "true_v", "true_effort")
 

@@ -87,7 +87,7 @@ def fit_numbers(
         Refusal: unknown names, wrong shapes, numbers out of their ranges.
     """
     scene = coerce_scene(scene, WHERE)
-    rows = ANY_COMMANDS.numbers(WHERE, commands)
+    rows = ANY_COMMANDS.check_numbers(WHERE, commands)
     if rows.ndim != 2 or rows.shape[1] != len(scene.joints) or not len(rows):
         raise Refusal(WHERE, "commands", f"have shape (K, {len(scene.joints)})", rows.shape)
     if not isinstance(signals, Mapping) or not isinstance(sought, Mapping):
@@ -222,8 +222,8 @@ def _check_signal(scene: Scene, name: str, values: ArrayLike, commands: Array) -
     reported = [output.name for output in list_outputs(scene) if not output.per_unit]
     if name not in (*STATE_ROWS, *reported):
         raise Refusal(WHERE, "signal", "be a quantity", name, ", ".join((*STATE_ROWS, *reported)))
-    rows = ANY_STATE.named(name).numbers(WHERE, values)
-    ANY_STATE.named(name).check(WHERE, rows)
+    rows = ANY_STATE.rename(name).check_numbers(WHERE, values)
+    ANY_STATE.rename(name).check_values(WHERE, rows)
     if rows.shape != commands.shape:
         raise Refusal(WHERE, name, f"have the shape of the commands, {commands.shape}", rows.shape)
     return rows

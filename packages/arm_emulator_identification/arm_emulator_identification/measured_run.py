@@ -60,7 +60,7 @@ def check_samples(run: MeasuredRun) -> None:
     if not np.isfinite(t).all():
         at = int(np.flatnonzero(~np.isfinite(t))[0])
         raise Refusal(run.where, f"t of sample {at}", "be finite [s]", t[at])
-    Number.within("t", "s", LATEST).check(run.where, [float(np.abs(t).max())])
+    Number.bound_size("t", "s", LATEST).check_values(run.where, [float(np.abs(t).max())])
     steps = np.diff(t)
     interval = float(np.median(steps))
     bad = np.flatnonzero(steps <= 0.0)
@@ -86,8 +86,8 @@ def check_samples(run: MeasuredRun) -> None:
                     run.where, f"{name} of {joint}", "be finite in every sample",
                     f"{column[at]} at t = {t[at]:g} s, {missing.size} of {len(column)}",
                 )  # fmt: skip
-            bound = BOUNDS[name].named(f"{name} of {joint}")
-            bound.check(run.where, [float(np.abs(column).max())])
+            bound = BOUNDS[name].rename(f"{name} of {joint}")
+            bound.check_values(run.where, [float(np.abs(column).max())])
             if name in ("q_motor", "q_link"):
                 _check_frozen(run, name, joint, column)
 

@@ -120,7 +120,7 @@ def _read_table(path: Path, scene: Scene) -> dict[str, Array]:
         raise Refusal(path.name, "heading", "have a column t [s]", names)
     if len(set(table.columns)) < len(table.columns):
         raise Refusal(path.name, "heading", "name each column once", ", ".join(table.columns))
-    signals = {"t": table.column("t")}
+    signals = {"t": table.get_column("t")}
     for group, name in NAMES.items():
         there = [f"{group}.{joint}" in table.columns for joint in scene.joint_names]
         if not any(there):
@@ -130,7 +130,7 @@ def _read_table(path: Path, scene: Scene) -> dict[str, Array]:
             raise Refusal(path.name, "heading", f"have {group}.{missing}, as of the others", "none")
         none = np.full(len(table.lines), np.nan)
         of = [
-            table.column(f"{group}.{joint}") if is_present else none
+            table.get_column(f"{group}.{joint}") if is_present else none
             for joint, is_present in zip(scene.joint_names, there, strict=True)
         ]
         signals[name] = np.column_stack(of)

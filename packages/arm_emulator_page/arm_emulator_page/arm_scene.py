@@ -118,7 +118,9 @@ class ArmScene:
 
     def _complete(self, q: Array) -> Array:
         at = pin.neutral(self._model)
-        for (place, revolute), angle in zip(self._revolute, self._shafts.of_joints(q), strict=True):
+        for (place, revolute), angle in zip(
+            self._revolute, self._shafts.convert_to_joints(q), strict=True
+        ):
             if revolute:
                 at[place : place + 2] = np.cos(angle), np.sin(angle)
             else:

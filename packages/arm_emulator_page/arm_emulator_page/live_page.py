@@ -226,7 +226,7 @@ class LivePage:
     def ask(self, what: str, *given: Any) -> str:
         """Do an action by its name, and show its answer; return "" if it was refused."""
         try:
-            answer: str = self.hands.do(what, *given)
+            answer: str = self.hands.do_action(what, *given)
         except Refusal as reason:
             self._refused(str(reason))
             return ""

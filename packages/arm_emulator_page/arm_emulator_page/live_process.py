@@ -25,13 +25,13 @@ def main() -> None:
             task["scene"], task["columns"], task["kind"], controls, task["at"], task["varied"]
         )
     except Refusal as no:
-        end.leave(no)
-    end.answer(page.url)
+        end.send_last_answer(no)
+    end.send_answer(page.url)
     _show_all(end, ring, page)
     end.end_in_time()
     controls.close()
     page.close()
-    end.leave("")
+    end.send_last_answer("")
 
 
 def _show_all(end: RowEnd, ring: SharedRing, page: LivePage) -> None:

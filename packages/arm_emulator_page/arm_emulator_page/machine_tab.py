@@ -61,7 +61,7 @@ def _add_gains(page: Any, gui: Any) -> None:
 
         def fill() -> None:
             try:
-                gains.update(page.hands.do("gains"))
+                gains.update(page.hands.do_action("gains"))
             except Refusal as reason:
                 page.answer.content = escape_markdown(str(reason))
                 return

@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from arm_emulator.extension.base import Refusal, require_package
-from arm_emulator.extension.page import PageAddress, answer_requests, page_token
+from arm_emulator.extension.page import PageAddress, answer_requests, get_token
 
 
 class PageServer:
@@ -31,17 +31,17 @@ class PageServer:
 
     def __init__(self, at: str | int = 0) -> None:
         require_package("the page", "viser", "viser")
-        address = PageAddress.of(at).free()
+        address = PageAddress.from_text(at).choose_free_port()
         import viser
 
-        token = page_token()
+        token = get_token()
         # It prints addresses without the token, whatever it is asked.
         with guard_server(Guard(token, address)), contextlib.redirect_stdout(io.StringIO()):
             try:
                 self.server: Any = viser.ViserServer(address.host, address.port, verbose=False)
             except (OSError, RuntimeError) as error:
                 raise Refusal("page", "port", "be free", address.port) from error
-        self.url = address.url(token)
+        self.url = address.write_url(token)
         apply_theme(self.server)
         self.server.scene.set_up_direction("+z")
         self.server.scene.add_grid("/floor", 4.0, 4.0, cell_size=0.25)

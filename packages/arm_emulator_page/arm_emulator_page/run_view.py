@@ -75,7 +75,9 @@ class SignalHistory:
 
     def values(self, group: str) -> NDArray[np.float64]:
         """Return a quantity at all samples (K, columns)."""
-        columns = [column.of(self._rows).astype(np.float64) for column in self.groups[group]]
+        columns = [
+            column.select_values(self._rows).astype(np.float64) for column in self.groups[group]
+        ]
         return np.stack(columns, axis=1)
 
     def paths(self, group: str) -> list[tuple[str, ...]]:

@@ -61,7 +61,7 @@ class SignalPlot:
         """Plot the chosen quantity of rows (K,)."""
         group = read_choice(self._choice, self._groups)
         columns = self._groups[group]
-        values = [column.of(rows).astype(np.float64) for column in columns]
+        values = [column.select_values(rows).astype(np.float64) for column in columns]
         data = (rows["t"].astype(np.float64), *values)
         if group == self._plotted:
             self._chart.data = data

@@ -116,31 +116,31 @@ def test_any_request_has_an_answer() -> None:
     ("[::1]:8080", "::1", 8080), ("arm.local:1", "arm.local", 1),
 ])  # fmt: skip
 def test_an_address_is_a_port_with_an_optional_host(text: str | int, host: str, port: int) -> None:
-    assert PageAddress.of(text) == PageAddress(host, port)
+    assert PageAddress.from_text(text) == PageAddress(host, port)
 
 
 @pytest.mark.parametrize("text", ["", "host", "host:", "1:x", "70000", "-1", "127.0.0.1:70000"])
 def test_foreign_addresses_are_refused(text: str) -> None:
     with pytest.raises(Refusal, match=r"must be \[HOST:\]PORT|port must be"):
-        PageAddress.of(text)
+        PageAddress.from_text(text)
 
 
 def test_a_host_of_another_machine_and_a_taken_port_are_refused() -> None:
     with pytest.raises(Refusal, match="host must be of this machine"):
-        PageAddress.of("192.0.2.1:0").free()  # of documentation, RFC 5737
+        PageAddress.from_text("192.0.2.1:0").choose_free_port()  # of documentation, RFC 5737
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(Refusal, match=f"port must be free, got {port}"):
-            PageAddress.of(port).free()
+            PageAddress.from_text(port).choose_free_port()
 
 
 def test_a_page_for_foreign_machines_is_reached_by_addresses_and_by_its_own_name() -> None:
-    every = PageAddress.of("0.0.0.0:0")
+    every = PageAddress.from_text("0.0.0.0:0")
     assert all(map(every.is_requested_by, ("192.168.1.5", "fe80::1", "localhost", every.name)))
     assert not any(
         map(every.is_requested_by, ("evil.example", "192.168.1.5.evil.example", "", None))
     )
-    page_address = PageAddress.of("192.168.1.5:0")
+    page_address = PageAddress.from_text("192.168.1.5:0")
     assert page_address.is_requested_by("192.168.1.5") and not page_address.is_requested_by(
         "192.168.1.6"
     )

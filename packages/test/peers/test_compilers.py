@@ -25,8 +25,8 @@ from arm_emulator.machine.plant.formula_rows import build_formula_unit
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.machine.session.record_ring import build_record_ring_unit
 from arm_emulator.ros.c import middleware_unit
-from arm_emulator.runs.servo_step import servo_step_unit
-from arm_emulator.servo.servo_law import servo_unit
+from arm_emulator.runs.servo_step import make_servo_step_unit
+from arm_emulator.servo.servo_law import make_servo_unit
 from arm_emulator.tick.c import tick_unit
 from arm_emulator.toolchain.compiler_command import identify_compiler
 from arm_emulator.toolchain.unit import Unit
@@ -99,7 +99,7 @@ def units(folder: Path) -> Iterator[Unit]:
         yield build_machine_unit(scene)
         yield build_equations_unit(scene)
         yield build_fleet_unit(scene)
-    yield from (servo_unit(), servo_step_unit(), tick_unit(), build_real_time_unit())
+    yield from (make_servo_unit(), make_servo_step_unit(), tick_unit(), build_real_time_unit())
     yield from (build_record_ring_unit(), build_formula_unit(), judges_unit(), sampler_unit())
     yield from (drives_unit(), ethercat_unit())
     yield from (

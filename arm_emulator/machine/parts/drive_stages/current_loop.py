@@ -61,10 +61,10 @@ class CurrentLoop(DriveStage):
         gains = {"proportional_gain": self.proportional_gain, "integral_gain": self.integral_gain}
         for key, value in gains.items():
             if self.bandwidth is not None and value is not None:
-                raise section.refusal(key, "be absent together with a bandwidth", value)
+                raise section.make_refusal(key, "be absent together with a bandwidth", value)
             if self.bandwidth is None and value is None:
                 rule = f"be given where {key} is not"
-                raise section.refusal("bandwidth", rule, "nothing")
+                raise section.make_refusal("bandwidth", rule, "nothing")
 
     @classmethod
     def size_part(cls, motor: Motor, rating: Rating) -> Self | None:  # noqa: D102

@@ -52,7 +52,7 @@ class DriveStage(Part):
         if self.needs_circuit and motor.circuit is None:
             rule = "belong to a motor that has an inductance (dc, pmsm)"
             at_once = " without one" if motor.has_algebraic_current else ""
-            raise joint.refusal(self.section, rule, motor.kind + at_once)
+            raise joint.make_refusal(self.section, rule, motor.kind + at_once)
 
     def wrap_motor(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:
         """Return a motor with it in C++.

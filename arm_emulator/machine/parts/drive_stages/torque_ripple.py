@@ -51,14 +51,14 @@ class TorqueRipple(DriveStage):
         # More would turn the torque about at some angles.
         amplitude_sum = sum(abs(amplitude) for _, amplitude, _ in self.waves)
         if amplitude_sum > 0.9:
-            raise section.refusal(
+            raise section.make_refusal(
                 "waves", "have amplitudes that sum up to at most 0.9", amplitude_sum
             )
 
     def check_motor(self, motor: Motor, joint: Section) -> None:  # noqa: D102
         if motor.has_algebraic_current:
             rule = "come with an inductance: the current would follow each wave at once"
-            raise joint.refusal(self.section, rule, "none")
+            raise joint.make_refusal(self.section, rule, "none")
 
     def wrap_motor(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:  # noqa: D102
         if not self.waves:

@@ -91,7 +91,7 @@ class Winding(DriveStage):
     def check_numbers(self, section: Section) -> None:  # noqa: D102
         if self.limit is not None and self.limit <= self.ambient:
             rule = f"be above the ambient, {self.ambient:g} degC"
-            raise section.refusal("limit", rule, self.limit)
+            raise section.make_refusal("limit", rule, self.limit)
 
     @property
     def reports(self) -> tuple[Output, ...]:
@@ -101,10 +101,10 @@ class Winding(DriveStage):
     def check_motor(self, motor: Motor, joint: Section) -> None:  # noqa: D102
         if not motor.has_winding:
             rule = "belong to a motor that has a resistance"
-            raise joint.refusal(self.section, rule, motor.kind, "dc, pmsm")
+            raise joint.make_refusal(self.section, rule, motor.kind, "dc, pmsm")
         if motor.has_algebraic_current:
             rule = "come with an inductance: the current would follow the temperature at once"
-            raise joint.refusal(self.section, rule, "none")
+            raise joint.make_refusal(self.section, rule, "none")
 
     def wrap_motor(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:  # noqa: D102
         kind = f"arm::HeatedMotor<{inner.type}>"

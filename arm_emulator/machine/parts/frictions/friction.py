@@ -42,7 +42,7 @@ class Friction(Part):
     @classmethod
     def is_named_in(cls, section: Section) -> bool:
         """Whether the keys of a section name this law."""
-        return all(map(section.has, cls.named_by))
+        return all(map(section.has_key, cls.named_by))
 
     def compute_dry_torque(self, motion: ShaftMotion) -> Array:
         """Return the dry torque (K,) against a shaft that turns [N m]."""
@@ -57,7 +57,7 @@ class Friction(Part):
 
     def check_numbers(self, section: Section) -> None:  # noqa: D102
         if self.breakaway > 0.0 and self.coulomb == 0.0:
-            raise section.refusal("breakaway", "come with a coulomb friction", self.breakaway)
+            raise section.make_refusal("breakaway", "come with a coulomb friction", self.breakaway)
 
     def check_gear(self, gear: Gear | None, joint: Section) -> None:
         """Refuse a law whose torque depends on a torque that this joint's gear does not have.

@@ -120,7 +120,7 @@ class LoadFriction(Friction):
 
     @classmethod
     def is_named_in(cls, section: Section) -> bool:  # noqa: D102
-        return any([section.has(key) for key in (*cls.named_by, *DIRECTED)])
+        return any([section.has_key(key) for key in (*cls.named_by, *DIRECTED)])
 
     @property
     def is_directed(self) -> bool:
@@ -136,22 +136,22 @@ class LoadFriction(Friction):
     def check_numbers(self, section: Section) -> None:  # noqa: D102
         super().check_numbers(section)
         if self.exponent is not None and self.stribeck is None:
-            raise section.refusal("exponent", "come with a stribeck speed", self.exponent)
+            raise section.make_refusal("exponent", "come with a stribeck speed", self.exponent)
 
     def check_gear(self, gear: Gear | None, joint: Section) -> None:  # noqa: D102
         if gear is None:
             rule = "belong to a joint with a motor, whose gear is the load"
-            raise joint.refusal(f"{self.section}.load", rule, self.load)
+            raise joint.make_refusal(f"{self.section}.load", rule, self.load)
         if gear.stiffness is not None:
             return
         if self.load >= 1.0:
             rule = "be below 1 behind a rigid gear, whose efficiency is 1 - load"
-            raise joint.refusal(f"{self.section}.load", rule, self.load)
+            raise joint.make_refusal(f"{self.section}.load", rule, self.load)
         for key in OF_MOTOR_TORQUE if self.shaft == "rotor" else ():
             if getattr(self, key) is not None:
                 instead = key.replace("motor_", "")
                 rule = f"come with an elastic gear (a rigid one has the motor's torque: {instead})"
-                raise joint.refusal(f"{self.section}.{key}", rule, getattr(self, key))
+                raise joint.make_refusal(f"{self.section}.{key}", rule, getattr(self, key))
 
     def compute_dry_torque(self, motion: ShaftMotion) -> Array:  # noqa: D102
         dry = super().compute_dry_torque(motion)

@@ -54,7 +54,7 @@ class Hysteresis(GearStage):
 
     @classmethod
     def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
-        return super().read_numbers(section) | {"elements": section.integer(_ELEMENTS)}
+        return super().read_numbers(section) | {"elements": section.read_integer(_ELEMENTS)}
 
     def compute_effort(self, motion: ShaftMotion) -> Array:
         """None: rotor and link pass the torque on."""
@@ -71,7 +71,7 @@ class Hysteresis(GearStage):
     def check_gear(self, gear: Gear, joint: Section) -> None:  # noqa: D102
         if gear.stiffness is None or gear.has_play:
             rule = "belong to an elastic gear without play"
-            raise joint.refusal(self.section, rule, type(gear).__name__)
+            raise joint.make_refusal(self.section, rule, type(gear).__name__)
 
     @property
     def cxx_type(self) -> str:  # noqa: D102

@@ -50,7 +50,7 @@ class KinematicErrorGear(ElasticGear):
     @classmethod
     def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
         values = super().read_numbers(section)
-        if (errors := section.section("kinematic_error")) is not None:
+        if (errors := section.get_section("kinematic_error")) is not None:
             values |= {shaft: read_waves(errors, shaft, "rad") for shaft in ("motor", "link")}
         return values
 
@@ -61,7 +61,7 @@ class KinematicErrorGear(ElasticGear):
             steepest = sum(abs(order * amplitude) for order, amplitude, _ in waves)
             if steepest > 0.9 * limit:
                 rule = f"have order times amplitude sum up to at most {0.9 * limit:g}"
-                raise section.refusal(f"kinematic_error.{shaft}", rule, f"{steepest:g}")
+                raise section.make_refusal(f"kinematic_error.{shaft}", rule, f"{steepest:g}")
 
     @property
     def cxx_type(self) -> str:  # noqa: D102

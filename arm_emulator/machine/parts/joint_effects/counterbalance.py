@@ -89,16 +89,16 @@ class Counterbalance(JointEffect):
         smallest = 0.01 * self.base_distance
         if abs(self.link_distance - self.base_distance) < smallest:
             rule = f"differ by {smallest:g} m from base_distance, so that the spring keeps a length"
-            raise section.refusal("link_distance", rule, self.link_distance)
+            raise section.make_refusal("link_distance", rule, self.link_distance)
         if not self.gas_column:
             return
         if self.stiffness:
             rule = "be absent with gas_column, which has a progression of its own"
-            raise section.refusal("stiffness", rule, self.stiffness)
+            raise section.make_refusal("stiffness", rule, self.stiffness)
         shortest = abs(self.base_distance - self.link_distance)
         longest = self.base_distance + self.link_distance
         # Largest compression of the gas beyond `length`.
         stroke = longest - self.length if self.force < 0.0 else self.length - shortest
         if self.gas_column < 1.01 * stroke:
             rule = f"be >= {1.01 * stroke:g} m, so that some gas is left wherever the link is"
-            raise section.refusal("gas_column", rule, self.gas_column)
+            raise section.make_refusal("gas_column", rule, self.gas_column)

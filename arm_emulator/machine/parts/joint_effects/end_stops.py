@@ -90,21 +90,25 @@ class EndStops(JointEffect):
     @classmethod
     def put_limits(cls, section: Section, limits: tuple[float, float] | None) -> None:
         """Put the ends of its way where the section has `at: limits`."""
-        beyond = section.number(_BEYOND)
-        if not section.has("at"):
-            if section.has(_BEYOND.name):
-                raise section.refusal(_BEYOND.name, "be given together with `at: limits`", beyond)
+        beyond = section.read_number(_BEYOND)
+        if not section.has_key("at"):
+            if section.has_key(_BEYOND.name):
+                raise section.make_refusal(
+                    _BEYOND.name, "be given together with `at: limits`", beyond
+                )
             return
-        section.choice("at", ("limits",), default="limits")
+        section.read_choice("at", ("limits",), default="limits")
         lower, upper = limits or (0.0, 0.0)
         for key, value in ("lower", lower - beyond), ("upper", upper + beyond):
-            if section.has(key):
-                raise section.refusal(key, "be absent together with `at: limits`", "both")
-            section.put(key, value)
+            if section.has_key(key):
+                raise section.make_refusal(key, "be absent together with `at: limits`", "both")
+            section.set_value(key, value)
         if limits is None:
-            raise section.refusal("at", "be absent: the URDF has no limits of this joint", "limits")
+            raise section.make_refusal(
+                "at", "be absent: the URDF has no limits of this joint", "limits"
+            )
 
     def check_numbers(self, section: Section) -> None:  # noqa: D102
         if self.lower >= self.upper:
             rule = f"be > {self.lower:g} rad, the lower one"
-            raise section.refusal("upper", rule, self.upper)
+            raise section.make_refusal("upper", rule, self.upper)

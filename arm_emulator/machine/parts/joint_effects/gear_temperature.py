@@ -70,7 +70,7 @@ class GearTemperature(JointEffect):
         heated = any(isinstance(part, Winding) for part in parts)
         if self.winding_resistance is not None and not heated:
             rule = "come with motor.winding, whose temperature it takes"
-            raise joint.refusal(f"{self.section}.winding_resistance", rule, "none")
+            raise joint.make_refusal(f"{self.section}.winding_resistance", rule, "none")
 
     @classmethod
     def list_faults(cls) -> tuple[Fault, ...]:  # noqa: D102

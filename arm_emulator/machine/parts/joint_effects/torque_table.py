@@ -17,8 +17,8 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 MIN_POINTS, MAX_POINTS = 4, 256  # points
 CLOSEST = 1e-6  # rad (m)
-_ANGLES = Number.within("angles", "rad", 1e4)
-_TORQUES = Number.within("torques", "N m", LARGEST)
+_ANGLES = Number.bound_size("angles", "rad", 1e4)
+_TORQUES = Number.bound_size("torques", "N m", LARGEST)
 
 
 @register_part
@@ -70,14 +70,16 @@ class TorqueTable(JointEffect):
     def check_numbers(self, section: Section) -> None:  # noqa: D102
         if len(self.torques) != len(self.angles):
             rule = f"have as many numbers as angles, {len(self.angles)}"
-            raise section.refusal("torques", rule, len(self.torques))
+            raise section.make_refusal("torques", rule, len(self.torques))
         for angle, following in pairwise(self.angles):
             if following - angle < CLOSEST:
                 rule = f"increase by at least {CLOSEST:g} rad each"
-                raise section.refusal("angles", rule, f"{following!r} after {angle!r}")
+                raise section.make_refusal("angles", rule, f"{following!r} after {angle!r}")
         if self.periodic and self.torques[0] != self.torques[-1]:
             rule = "end with the torque that they begin with, as the table is periodic"
-            raise section.refusal("torques", rule, f"{self.torques[0]!r} and {self.torques[-1]!r}")
+            raise section.make_refusal(
+                "torques", rule, f"{self.torques[0]!r} and {self.torques[-1]!r}"
+            )
 
     @property
     def cxx_type(self) -> str:  # noqa: D102
@@ -133,11 +135,11 @@ class TorqueTable(JointEffect):
 
 
 def _read_row(section: Section, number: Number) -> tuple[float, ...]:
-    entries = section.entries(number.name)
+    entries = section.read_entries(number.name)
     rule = f"have {MIN_POINTS} to {MAX_POINTS} {number.range.replace('number', 'numbers')}"
     if not MIN_POINTS <= len(entries) <= MAX_POINTS:
-        raise section.refusal(number.name, rule, len(entries))
+        raise section.make_refusal(number.name, rule, len(entries))
     for entry in entries:
         if not number.is_in_range(entry):
-            raise section.refusal(number.name, rule, repr(entry))
+            raise section.make_refusal(number.name, rule, repr(entry))
     return tuple(map(float, entries))  # type: ignore[arg-type]

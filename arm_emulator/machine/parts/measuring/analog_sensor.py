@@ -122,7 +122,7 @@ class AnalogSensor(AnalogConverter):
 
     @classmethod
     def read_section(cls, section: Section) -> Self:  # noqa: D102
-        return cls(delay=section.integer(DELAY), **cls.read_numbers(section))
+        return cls(delay=section.read_integer(DELAY), **cls.read_numbers(section))
 
     def list_members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
         return [*super().list_members(joint, places), ("delay", str(self.delay))]

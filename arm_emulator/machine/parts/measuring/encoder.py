@@ -182,31 +182,31 @@ class Encoder(Part):
         Raises:
             Refusal: a value breaks its rule.
         """
-        kind = section.choice("kind", KINDS, default=KINDS[0])
-        counts = section.integer(_COUNTS_PER_TURN)
+        kind = section.read_choice("kind", KINDS, default=KINDS[0])
+        counts = section.read_integer(_COUNTS_PER_TURN)
         bits = None
         if kind == "absolute":
-            bits = section.integer(replace(_BITS, at_least=max(1, (counts - 1).bit_length())))
-        elif section.has("bits"):
-            raise section.refusal("bits", "belong to an encoder of kind absolute", kind)
-        index = section.choice("index", INDICES, default=INDICES[0])
+            bits = section.read_integer(replace(_BITS, at_least=max(1, (counts - 1).bit_length())))
+        elif section.has_key("bits"):
+            raise section.make_refusal("bits", "belong to an encoder of kind absolute", kind)
+        index = section.read_choice("index", INDICES, default=INDICES[0])
         if kind == "absolute" and index != INDICES[0]:
-            raise section.refusal(
+            raise section.make_refusal(
                 "index", "be left out of an encoder of kind absolute", repr(index)
             )
         numbers = cls.read_numbers(section)
         for key in ("ripple_order", "ripple_phase", "eccentricity_phase"):
             of = key.split("_")[0]
-            if section.has(key) and numbers[of] is None:
-                raise section.refusal(key, f"come with a key {of}", "alone")
+            if section.has_key(key) and numbers[of] is None:
+                raise section.make_refusal(key, f"come with a key {of}", "alone")
         return cls(
             kind=kind,
             counts_per_turn=counts,
             index=index,
             bits=bits,
-            delay=section.integer(DELAY),
+            delay=section.read_integer(DELAY),
             turn=turn,
-            ripple_order=section.integer(_RIPPLE_ORDER),
+            ripple_order=section.read_integer(_RIPPLE_ORDER),
             **numbers,
         )
 

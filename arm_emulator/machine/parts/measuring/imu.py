@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
-from arm_emulator.base.urdf.frames import Frame, frame_of
+from arm_emulator.base.urdf.frames import Frame, make_frame
 from arm_emulator.base.validation.number import Number
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine import cxx_literals
@@ -17,8 +17,8 @@ from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.varied import Varied
 
-_XYZ = Number.within("xyz", "m", 100.0)
-_RPY = Number.within("rpy", "rad", 100.0)
+_XYZ = Number.bound_size("xyz", "m", 100.0)
+_RPY = Number.bound_size("rpy", "rad", 100.0)
 
 BIASES = ("bias_x", "bias_y", "bias_z")
 
@@ -127,19 +127,22 @@ class Imu:
         Raises:
             Refusal: a value breaks its rule, or the link does not move.
         """
-        link = section.text("link")
+        link = section.read_text("link")
         if link not in chain.carried:
             valid = ", ".join(chain.carried)
-            raise section.refusal("link", "be a link that a joint moves", link, valid)
-        xyz = section.vector(_XYZ) or (0.0, 0.0, 0.0)
-        rpy = section.vector(_RPY) or (0.0, 0.0, 0.0)
+            raise section.make_refusal("link", "be a link that a joint moves", link, valid)
+        xyz = section.read_vector(_XYZ) or (0.0, 0.0, 0.0)
+        rpy = section.read_vector(_RPY) or (0.0, 0.0, 0.0)
         place, frame = chain.place_of(link)
-        accelerometer, gyroscope = section.section("accelerometer"), section.section("gyroscope")
+        accelerometer, gyroscope = (
+            section.get_section("accelerometer"),
+            section.get_section("gyroscope"),
+        )
         return cls(
             name=name,
             place=place,
-            frame=frame @ frame_of(xyz, rpy),
-            delay=section.integer(DELAY),
+            frame=frame @ make_frame(xyz, rpy),
+            delay=section.read_integer(DELAY),
             accelerometer=None
             if accelerometer is None
             else Accelerometer.read_section(accelerometer),

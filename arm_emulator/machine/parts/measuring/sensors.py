@@ -53,11 +53,11 @@ class JointSensors:
             "encoder": "motor",
             **{kind.section: kind.of for kind in ANALOG},
         }.items():
-            if needed and joint.has(key) and joint.below(needed) is None:
+            if needed and joint.has_key(key) and joint.find_section(needed) is None:
                 rule = f"belong to a joint with a {needed.replace('.', ' with a ')}"
-                raise joint.refusal(key, rule, f"no {needed} section")
-        motor, link = joint.section("encoder"), joint.section("link_encoder")
-        sections = ((kind, joint.section(kind.section)) for kind in ANALOG)
+                raise joint.make_refusal(key, rule, f"no {needed} section")
+        motor, link = joint.get_section("encoder"), joint.get_section("link_encoder")
+        sections = ((kind, joint.get_section(kind.section)) for kind in ANALOG)
         turn = 1.0 if kind == "prismatic" else 2.0 * math.pi
         return cls(
             encoder=None if motor is None else Encoder.read_section(motor),

@@ -68,9 +68,9 @@ class Pmsm(Motor):
     )
 
     def check_numbers(self, section: Section) -> None:  # noqa: D102
-        if self.current_limit is not None and not section.has("current_loop"):
+        if self.current_limit is not None and not section.has_key("current_loop"):
             rule = "come with a current_loop, whose commands it bounds"
-            raise section.refusal("current_limit", rule, self.current_limit)
+            raise section.make_refusal("current_limit", rule, self.current_limit)
 
     @classmethod
     def size_part(cls, rating: Rating) -> Self:

@@ -180,7 +180,7 @@ def read_commands(path: Path, scene: Scene) -> Array:
 
 def _read_table(path: Path, scene: Scene) -> Array:
     table = load_target_table(path, scene.joint_names)
-    ticks = table.ticks(scene.servo_period)
+    ticks = table.compute_ticks(scene.servo_period)
     last = ticks[-1] + (ticks[-1] - ticks[-2] if len(ticks) > 1 else 1)
     rows = np.zeros((last, len(scene.joints)))
     for begin, end, row in zip(ticks, [*ticks[1:], last], table.q, strict=True):

@@ -23,7 +23,7 @@ from arm_emulator.extension.machine import (
 from arm_emulator.extension.runs import check_servo, load_gains
 
 FREQUENCY = Number("--low and --high", "Hz", at_least=1e-3, at_most=1e6)
-POSE = POSITION.named("--pose")
+POSE = POSITION.rename("--pose")
 PER_DECADE = 2000  # frequencies
 ROWS = slice(None, None, 20)  # of them in tables
 MODES = 8  # that are listed
@@ -60,12 +60,12 @@ def bode(
         closed: add the modes of the machine under its servos, for the input shaper.
     """
     machine = load_scene(scene)
-    highest = 0.5 / machine.servo_period if high is None else FREQUENCY.take("bode", high)
-    if FREQUENCY.take("bode", low) >= highest:
+    highest = 0.5 / machine.servo_period if high is None else FREQUENCY.check_value("bode", high)
+    if FREQUENCY.check_value("bode", low) >= highest:
         raise Refusal("bode", "--low", f"be below the highest frequency, {highest:g} Hz", low)
     count = 1 + round(PER_DECADE * np.log10(highest / low))
     frequency = np.geomspace(low, highest, max(2, count))
-    q = machine.start if pose is None else POSE.row("bode", pose, len(machine.joints))
+    q = machine.start if pose is None else POSE.check_row("bode", pose, len(machine.joints))
     linear = linearise(machine, q)
     responses = {
         joint.name: compute_frequency_response(linear, j, frequency)

@@ -82,7 +82,7 @@ def explain(
         if when is not None:
             raise Refusal("explain", "--stop", "stand without --when", "both")
         end = None if at is None else _find_tick(machine, at)
-        return _print_stop(machine, 1e-3 * BAND.take("explain", stop), end)
+        return _print_stop(machine, 1e-3 * BAND.check_value("explain", stop), end)
     if at is None and when is None:
         raise Refusal("explain", "--at or --when", "be given", "neither")
     machine.advance(_find_tick(machine, 0.0 if at is None else at))

@@ -16,7 +16,13 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
-from arm_emulator.extension.base import KEEP_NOTHING, Refusal, RunOutputs, check_count, warn
+from arm_emulator.extension.base import (
+    KEEP_NOTHING,
+    Refusal,
+    RunOutputs,
+    check_count,
+    print_warnings,
+)
 from arm_emulator.extension.commands import (
     Keep,
     PageAt,
@@ -24,7 +30,7 @@ from arm_emulator.extension.commands import (
     check_new_bag,
     command,
     output,
-    stay,
+    wait_for_ctrl_c,
 )
 from arm_emulator.extension.compiler import ARITHMETIC
 from arm_emulator.extension.machine import Diverged
@@ -106,7 +112,7 @@ def campaign(
             write them into the folder of the results as a campaign.
         bag: new bag with the run of --replay and its scene; needs ROS 2.
     """
-    outputs.check("campaign")
+    outputs.check_options("campaign")
     if (outputs != KEEP_NOTHING or page is not None or bag is not None) and replay is None:
         rule = "come with --replay INDEX, which names the run"
         raise Refusal("campaign", "--record, --bag, --rerun and --page", rule, "no --replay")
@@ -132,7 +138,7 @@ def campaign(
     if shrink is not None:
         return print_shrunk(definition, find_case(definition, into, shrink, "--shrink"), into)
     for text in find_start_requirements(definition):
-        warn(text)
+        print_warnings(text)
     seconds, ready = measure_run(definition, *devices[:1])
     at_hand = len(devices) if devices and dask is None else workers or _count_workers(dask)
     _print_cost(definition, seconds, ready, at_hand)
@@ -406,7 +412,7 @@ def record_case(
         except Diverged as fault:
             output.line(str(fault))
         if page is not None:
-            stay()
+            wait_for_ctrl_c()
 
 
 def print_findings(findings: Sequence[Finding], digest: str, count: int, folder: Path) -> None:

@@ -162,13 +162,13 @@ class Campaign:
             elif section in changed:
                 _put_number(data, name.split("."), value)
         root = Section(data, self.where)
-        root.has("controller")
+        root.has_key("controller")
         scenario = nominal[0] if nominal else None
         faults = set_by_number or (nominal[1] if nominal else {})
         if scenario is None or "scenario" in changed:
-            section_of = root.required_section("scenario")
+            section_of = root.require_section("scenario")
             scenario = read_scenario(section_of, self.scene, self.file.parent)
-            section_of.finish()
+            section_of.refuse_unread_keys()
         if "faults" in changed:
             faults = _read_faults(root, self.scene)
         return scenario, faults, servo
@@ -246,11 +246,11 @@ def load_campaign(file: Path) -> Campaign:
     """
     data = read_yaml(file)
     root = Section(data, file.name)
-    root.text("scene")
-    controller = root.section("controller") or Section({}, file.name, "controller")
+    root.read_text("scene")
+    controller = root.get_section("controller") or Section({}, file.name, "controller")
     files = find_files(data, file)
     for kind in ("servo", "motion"):
-        controller.has(kind)
+        controller.has_key(kind)
     scene_file = files["scene"]
     servo, motion = load_servo_config(files["servo"]), load_motion_config(files["motion"])
     servo = change_gains(servo, controller, file.name)
@@ -258,11 +258,11 @@ def load_campaign(file: Path) -> Campaign:
     of_scene = [pattern for pattern in patterns if pattern.split(".")[0] not in VARYING_SECTIONS]
     scene, overrides = _load_varied_scene(root, scene_file, of_scene)
     check_fit(scene, servo, motion)
-    count = root.integer(replace(COUNT, default=0))
+    count = root.read_integer(replace(COUNT, default=0))
     used = {"scene": read_bytes(scene_file, LARGEST_YAML_FILE), "urdf": scene.true_urdf.encode()}
     used |= {name: files[name].read_bytes() for name in ("servo", "motion")}
     used |= _read_named_files(data, file.parent)
-    sampling = root.choice("sampling", SAMPLINGS, default=SAMPLINGS[0])
+    sampling = root.read_choice("sampling", SAMPLINGS, default=SAMPLINGS[0])
     numbers = read_varying(root, patterns, scene, servo, data)
     pairs = read_correlations(root, [number.name for number in numbers])
     correlation = make_correlation(pairs, numbers, file.name)
@@ -270,7 +270,7 @@ def load_campaign(file: Path) -> Campaign:
     count = count or (levels if levels > 1 else ALL)
     key = _hash_definition(data, used, root, count if sampling == "latin" else 0)
     variation = Variation(numbers, sampling, key, count, correlation, file.name)
-    stop = root.section("stop")
+    stop = root.get_section("stop")
     campaign = Campaign(
         file=file,
         scene=scene,
@@ -287,10 +287,10 @@ def load_campaign(file: Path) -> Campaign:
         key=key,
     )
     for section in (*VARYING_SECTIONS, "requirements", "measures"):
-        root.has(section)
-    controller.finish()
+        root.has_key(section)
+    controller.refuse_unread_keys()
     if stop is not None:
-        stop.finish()
+        stop.refuse_unread_keys()
     _check_keys(data, file.name)
     _check_times(campaign)
     return campaign
@@ -303,9 +303,9 @@ def find_files(data: Mapping[str, Any], file: Path) -> dict[str, Path]:
         Refusal: one is not there.
     """
     root = Section(dict(data), file.name)
-    beside = file.parent / root.text("scene")
-    scene = find_scene(beside if beside.is_file() else root.text("scene"))
-    controller = root.section("controller") or Section({}, file.name, "controller")
+    beside = file.parent / root.read_text("scene")
+    scene = find_scene(beside if beside.is_file() else root.read_text("scene"))
+    controller = root.get_section("controller") or Section({}, file.name, "controller")
     paths = {"scene": scene}
     for key in ("servo", "motion"):
         paths[key] = _find_file(controller, key, file) or find_beside(scene, key)
@@ -331,11 +331,11 @@ def _check_times(campaign: Campaign) -> None:
 
 
 def _find_file(section: Section, key: str, campaign: Path) -> Path | None:
-    if not section.has(key):
+    if not section.has_key(key):
         return None
-    path = campaign.parent / section.text(key)
+    path = campaign.parent / section.read_text(key)
     if not path.is_file():
-        raise section.refusal(key, "be a file beside the campaign's", section.text(key))
+        raise section.make_refusal(key, "be a file beside the campaign's", section.read_text(key))
     return path
 
 
@@ -356,7 +356,7 @@ def _hash_definition(
 ) -> bytes:
     """Return the hash of all that decides what a run with an index is."""
     deciding = {key: value for key, value in data.items() if key not in ("count", "stop")}
-    digest = hashlib.sha256(f"{VERSION} {root.integer(SEED)} {count}\0".encode())
+    digest = hashlib.sha256(f"{VERSION} {root.read_integer(SEED)} {count}\0".encode())
     digest.update(json.dumps(deciding, sort_keys=True, default=str).encode())
     for name, content in sorted(used.items()):
         digest.update(f"\0{name} {len(content)}\0".encode())
@@ -365,34 +365,34 @@ def _hash_definition(
 
 
 def _read_stop(section: Section) -> Stop:
-    width, confidence = section.number(WIDTH), section.number(CONFIDENCE)
-    return Stop(width, confidence, section.number(WALL))
+    width, confidence = section.read_number(WIDTH), section.read_number(CONFIDENCE)
+    return Stop(width, confidence, section.read_number(WALL))
 
 
 def _read_texts(root: Section, key: str, kinds: tuple[type, ...]) -> dict[str, Any]:
-    section = root.section(key)
+    section = root.get_section(key)
     if section is None:
         return {}
     texts = {}
-    for name in section.keys():
-        value = section.value(name)
+    for name in section.list_keys():
+        value = section.read_value(name)
         if not re.fullmatch(r"[A-Za-z_][\w-]*", name):
-            raise section.refusal(name, "have a name of letters, digits, _ and -", repr(name))
+            raise section.make_refusal(name, "have a name of letters, digits, _ and -", repr(name))
         if not isinstance(value, kinds):
-            raise section.refusal(name, "be a text", repr(value))
+            raise section.make_refusal(name, "be a text", repr(value))
         texts[name] = value
     return texts
 
 
 def _read_patterns(root: Section) -> list[str]:
-    section = root.section("vary")
+    section = root.get_section("vary")
     if section is None:
         return []
-    for name in section.keys():
-        if section.value(name) is None:  # such as `1)` of {a: uniform(0, 1)}
+    for name in section.list_keys():
+        if section.read_value(name) is None:  # such as `1)` of {a: uniform(0, 1)}
             valid = "within braces a text with a comma needs quotes, {name: 'uniform(0, 1)'}"
-            raise section.refusal(name, "have a distribution", "nothing", valid)
-    return section.keys()
+            raise section.make_refusal(name, "have a distribution", "nothing", valid)
+    return section.list_keys()
 
 
 def _load_varied_scene(
@@ -400,9 +400,9 @@ def _load_varied_scene(
 ) -> tuple[Scene, Mapping[str, Any]]:
     """Return the scene, with all that varies as data of the machine, and its overrides."""
     scene_data = read_yaml(file)
-    set_section = root.section("set")
+    set_section = root.get_section("set")
     overrides: dict[str, Any] = {} if set_section is None else {
-        key: set_section.value(key) for key in set_section.keys()
+        key: set_section.read_value(key) for key in set_section.list_keys()
     }  # fmt: skip
     varied, of_faults = list(scene_data.get("varied") or []), dict[str, Section]()
     for kind, section in _read_kinds(root):
@@ -423,7 +423,7 @@ def _load_varied_scene(
             raise
         rule = "name a number that can vary"
         if no.got in of_faults:
-            raise of_faults[no.got].refusal("name", rule, no.got, no.valid) from None
+            raise of_faults[no.got].make_refusal("name", rule, no.got, no.valid) from None
         valid = f"{no.valid}, or numbers of {', '.join(f'{group}.' for group in VARYING_SECTIONS)}"
         raise Refusal(root.where, f"vary.{no.got}", rule, no.got, valid) from None
 
@@ -439,27 +439,29 @@ def _load_changed_scene(file: Path, overrides: Mapping[str, Any], where: str) ->
 
 def _read_kinds(root: Section) -> list[tuple[type[Fault], Section]]:
     """Return the kind of each fault, and its section."""
-    faults = root.section("faults")
-    sections = [] if faults is None else [faults.required_section(name) for name in faults.keys()]
+    faults = root.get_section("faults")
+    sections = (
+        [] if faults is None else [faults.require_section(name) for name in faults.list_keys()]
+    )
     return [(_read_kind(section), section) for section in sections]
 
 
 def _read_kind(section: Section) -> type[Fault]:
     kinds = list_faults()
-    kind = section.text("kind")
+    kind = section.read_text("kind")
     if kind not in kinds:
-        raise section.refusal("kind", "be a known fault", repr(kind), ", ".join(kinds))
+        raise section.make_refusal("kind", "be a known fault", repr(kind), ", ".join(kinds))
     return kinds[kind]
 
 
 def _read_faults(root: Section, scene: Scene) -> dict[str, Fault]:
-    section = root.required_section("faults")
+    section = root.require_section("faults")
     faults = {}
-    for name in section.keys():
-        below = section.required_section(name)
+    for name in section.list_keys():
+        below = section.require_section(name)
         faults[name] = _read_kind(below).read(below)
         faults[name].check(scene, f"{root.where}: faults.{name}")
-    section.finish()
+    section.refuse_unread_keys()
     return faults
 
 

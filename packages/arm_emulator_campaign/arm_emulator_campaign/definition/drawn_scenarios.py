@@ -56,7 +56,7 @@ def draw_scenarios(
         samples = values.get(f"scenario.{name}")
         if samples is None:
             return np.full(count, otherwise)
-        bound.named(f"scenario.{name}").check(where, samples)
+        bound.rename(f"scenario.{name}").check_values(where, samples)
         return samples
 
     joints = scene.joint_names

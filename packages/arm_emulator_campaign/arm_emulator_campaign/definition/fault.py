@@ -50,7 +50,7 @@ class Fault:
         Raises:
             Refusal: a number out of its range.
         """
-        return cls(**section.numbers(cls), **cls.others(section))
+        return cls(**section.read_numbers(cls), **cls.others(section))
 
     @classmethod
     def others(cls, section: Section) -> dict[str, Any]:
@@ -94,7 +94,9 @@ class Fault:
                 entries[int(place[0])] = value
                 changed[key] = tuple(entries)
             else:
-                changed[key] = value if isinstance(value, np.ndarray) else bound.take("", value)
+                changed[key] = (
+                    value if isinstance(value, np.ndarray) else bound.check_value("", value)
+                )
         return replace(self, **changed)
 
     def check(self, scene: Scene, where: str) -> None:
@@ -114,7 +116,7 @@ def are_in_range(bound: Number, value: float | Array) -> bool:
     if not isinstance(value, np.ndarray):
         return bound.is_in_range(value)
     try:
-        bound.check("", value)
+        bound.check_values("", value)
     except Refusal:
         return False
     return True
@@ -126,7 +128,7 @@ register_fault = _KINDS.register
 
 def list_faults() -> dict[str, type[Fault]]:
     """Return all kinds by name."""
-    return dict(sorted(_KINDS.kinds().items()))
+    return dict(sorted(_KINDS.list_kinds().items()))
 
 
 UNCHANGED, SOUND = -2, -1  # in the place of a fault

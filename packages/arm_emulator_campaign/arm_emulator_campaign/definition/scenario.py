@@ -77,15 +77,15 @@ def read_scenario(section: Section, scene: Scene, folder: Path) -> Scenario:
         Refusal: an invalid key or value.
     """
     names = scene.joint_names
-    seconds = section.number(SECONDS)
+    seconds = section.read_number(SECONDS)
     start = scene.start
-    if (start_section := section.section("start")) is not None:
+    if (start_section := section.get_section("start")) is not None:
         start = _read_joints(start_section, names, start)
-    targets, moves = section.entries("targets"), section.entries("moves")
-    table = section.text("table") if section.has("table") else ""
+    targets, moves = section.read_entries("targets"), section.read_entries("moves")
+    table = section.read_text("table") if section.has_key("table") else ""
     if (len(targets) > 0) + bool(table) + (len(moves) > 0) > 1:
         rule = "have one of targets, table and moves"
-        raise section.refusal("moves" if moves else "table", rule, "several")
+        raise section.make_refusal("moves" if moves else "table", rule, "several")
     target_table = None
     if table:
         target_table = load_target_table(folder / table, names, partial(check_targets, scene))
@@ -106,16 +106,16 @@ def _read_joints(section: Section, names: Sequence[str], q: Array) -> Array:
     """Return joint positions, some of which a section gives."""
     q = q.copy()
     for place, name in enumerate(names):
-        if section.has(name):
-            q[place] = section.number(POSITION.named(name))
+        if section.has_key(name):
+            q[place] = section.read_number(POSITION.rename(name))
     return q
 
 
 def _read_entry(section: Section, key: str, place: int, entry: object) -> Section:
     """Return an entry of a list as a section, named after its place."""
     name = f"{key}.{place}"
-    section.put(name, entry)
-    return section.required_section(name)
+    section.set_value(name, entry)
+    return section.require_section(name)
 
 
 def _read_targets(
@@ -125,9 +125,9 @@ def _read_targets(
     rows: list[Array] = []
     for place, entry in enumerate(entries):
         entry_section = _read_entry(section, "targets", place, entry)
-        t.append(entry_section.number(AT))
+        t.append(entry_section.read_number(AT))
         if place and not t[-1] > t[-2]:
-            raise entry_section.refusal("at", f"be later than that before, {t[-2]:g} s", t[-1])
+            raise entry_section.make_refusal("at", f"be later than that before, {t[-2]:g} s", t[-1])
         rows.append(_read_joints(entry_section, names, rows[-1] if rows else start))
     return TargetTable(np.array(t), np.array(rows))
 
@@ -136,31 +136,31 @@ def _read_moves(section: Section, entries: list[object]) -> tuple[Move, ...]:
     moves: list[Move] = []
     for place, entry in enumerate(entries):
         entry_section = _read_entry(section, "moves", place, entry)
-        at = entry_section.number(AT)
-        chosen = [key for key in TARGET_KEYS if entry_section.has(key)]
+        at = entry_section.read_number(AT)
+        chosen = [key for key in TARGET_KEYS if entry_section.has_key(key)]
         if len(chosen) != 1:
-            raise entry_section.refusal(
+            raise entry_section.make_refusal(
                 "by", f"be one of {', '.join(TARGET_KEYS)}", ", ".join(chosen) or "none"
             )
         moves.append(Move(at, chosen[0], _read_points(entry_section, chosen[0])))
     if any(later.at <= move.at for move, later in itertools.pairwise(moves)):
         times = ", ".join(f"{move.at:g}" for move in moves)
-        raise section.refusal("moves", "have ascending times", times)
+        raise section.make_refusal("moves", "have ascending times", times)
     return tuple(moves)
 
 
 def _read_points(section: Section, key: str) -> Array:
-    bound = TOOL_POSITION.named(key)
+    bound = TOOL_POSITION.rename(key)
     if key != "along":
-        return np.array([section.vector(bound)])
-    points = section.entries(key)
+        return np.array([section.read_vector(bound)])
+    points = section.read_entries(key)
     fits = 1 <= len(points) <= MAX_POINTS and all(
         isinstance(point, list) and len(point) == 3 and all(map(bound.is_in_range, point))
         for point in points
     )
     if not fits:
         rule = f"be 1 to {MAX_POINTS} points of 3 {bound.range}"
-        raise section.refusal(key, rule, repr(points))
+        raise section.make_refusal(key, rule, repr(points))
     return np.array(points, np.float64)
 
 

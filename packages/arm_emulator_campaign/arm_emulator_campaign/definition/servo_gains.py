@@ -26,7 +26,7 @@ def change_gain(servo: ServoConfig, name: str, value: object, where: str) -> Ser
         raise Refusal(where, name, "be a number of the servo", name, valid)
     if key not in numbers:
         raise Refusal(where, name, "be a number of the servo", key, ", ".join(numbers))
-    changed = replace(of_joint, **{key: numbers[key].take(where, value, name)})
+    changed = replace(of_joint, **{key: numbers[key].check_value(where, value, name)})
     check_rates(changed, servo.period, f"{where}: controller")
     return replace(
         servo, joints=tuple(changed if joint is of_joint else joint for joint in servo.joints)
@@ -35,10 +35,10 @@ def change_gain(servo: ServoConfig, name: str, value: object, where: str) -> Ser
 
 def change_gains(servo: ServoConfig, controller: Section, where: str) -> ServoConfig:
     """Return a servo with all numbers that a section of the controller states."""
-    joints = controller.section("joints")
-    for joint in () if joints is None else joints.keys():
-        section = joints.required_section(joint)  # type: ignore[union-attr]
+    joints = controller.get_section("joints")
+    for joint in () if joints is None else joints.list_keys():
+        section = joints.require_section(joint)  # type: ignore[union-attr]
         for key in section.keys():
             name = f"controller.joints.{joint}.{key}"
-            servo = change_gain(servo, name, section.value(key), where)
+            servo = change_gain(servo, name, section.read_value(key), where)
     return servo

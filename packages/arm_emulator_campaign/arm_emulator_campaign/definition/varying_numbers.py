@@ -28,8 +28,8 @@ def read_varying(
     nominal_values = {number.name: (number.number.unit, number.value) for number in scene.varied}
     for name, value in list_leaves(data.get("scenario")):
         nominal_values[f"scenario.{name}"] = "", value
-    faults = root.section("faults")
-    for fault in () if faults is None else faults.keys():
+    faults = root.get_section("faults")
+    for fault in () if faults is None else faults.list_keys():
         kind = list_faults()[data["faults"][fault]["kind"]]
         for name, value in list_leaves(data["faults"][fault]):
             nominal_values[f"faults.{fault}.{name}"] = kind.unit_of(name.split(".")[0]), value
@@ -37,12 +37,12 @@ def read_varying(
         for name, number in list_numbers(type(joint)).items():
             value = getattr(joint, name)
             nominal_values[f"controller.joints.{joint.name}.{name}"] = number.unit, value
-    section_of_vary = root.section("vary")
+    section_of_vary = root.get_section("vary")
     varying: dict[str, Varying] = {}
     for pattern in patterns:
         assert section_of_vary is not None
         quantity = f"vary.{pattern}"
-        distribution = parse_distribution(section_of_vary.value(pattern), root.where, quantity)
+        distribution = parse_distribution(section_of_vary.read_value(pattern), root.where, quantity)
         names = fnmatch.filter(nominal_values, pattern)
         if not names:
             prefix = pattern.split(".")[0]
@@ -59,19 +59,19 @@ def read_varying(
 def read_correlations(root: Section, names: Sequence[str]) -> list[tuple[list[str], float]]:
     """Return groups of these names, and the correlation of each with each."""
     pairs = []
-    for place, entry in enumerate(root.entries("correlate")):
-        root.put(f"correlate.{place}", entry)
-        section = root.required_section(f"correlate.{place}")
-        patterns = section.entries("between")
+    for place, entry in enumerate(root.read_entries("correlate")):
+        root.set_value(f"correlate.{place}", entry)
+        section = root.require_section(f"correlate.{place}")
+        patterns = section.read_entries("between")
         of = [name for name in names if any(fnmatch.fnmatch(name, str(p)) for p in patterns)]
         missing = [str(p) for p in patterns if not fnmatch.filter(names, str(p))]
         if missing or len(of) < 2:
             patterns_text = ", ".join(missing) or ", ".join(of) or "none"
-            raise section.refusal(
+            raise section.make_refusal(
                 "between", "name two numbers that vary", patterns_text, ", ".join(names)
             )
-        pairs.append((of, section.number(CORRELATION)))
-        section.finish()
+        pairs.append((of, section.read_number(CORRELATION)))
+        section.refuse_unread_keys()
     return pairs
 
 

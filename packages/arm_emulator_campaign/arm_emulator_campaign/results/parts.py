@@ -28,11 +28,11 @@ from arm_emulator.extension.base import (
     Refusal,
     Signal,
     bind_signals,
-    fold,
+    fold_expression,
     name_hidden_file,
     parse_formula,
+    print_warnings,
     require_package,
-    warn,
     write_atomically,
 )
 from arm_emulator_campaign.definition.campaign_file import Campaign
@@ -160,7 +160,7 @@ class Results:
         aside = self.folder / ASIDE
         aside.mkdir(exist_ok=True)
         file.replace(aside / file.name)
-        warn(f"{file.name} is set aside, its runs are simulated again: {reason}")
+        print_warnings(f"{file.name} is set aside, its runs are simulated again: {reason}")
         return False
 
     def done(self) -> NDArray[np.int64]:
@@ -259,7 +259,7 @@ def find_expression_unit(expression: Expression, units: Mapping[str, str]) -> st
             return of[0]
         return None if all(operand_unit is None for operand_unit in of) else ""
 
-    return fold(expression, unit)
+    return fold_expression(expression, unit)
 
 
 def _find_common_unit(several: Iterable[str | None]) -> str | None:

@@ -21,26 +21,26 @@ def read_method(root: Section, variation: Variation) -> Method | None:
     Raises:
         Refusal: an unknown method or key, or a package that is not installed.
     """
-    section = root.section("search")
+    section = root.get_section("search")
     if section is None:
         return None
-    kind = METHODS.get(name := section.text("method"))
+    kind = METHODS.get(name := section.read_text("method"))
     if kind is None:
-        raise section.refusal("method", "be a known method", repr(name), ", ".join(METHODS))
-    if root.has("count"):
+        raise section.make_refusal("method", "be a known method", repr(name), ", ".join(METHODS))
+    if root.has_key("count"):
         rule = "be absent together with search, which counts its runs"
-        raise root.refusal("count", rule, "a count")
-    of = section.text("of") if section.has("of") else ""
-    requirements = root.section("requirements")
-    names = [] if requirements is None else requirements.keys()
+        raise root.make_refusal("count", rule, "a count")
+    of = section.read_text("of") if section.has_key("of") else ""
+    requirements = root.get_section("requirements")
+    names = [] if requirements is None else requirements.list_keys()
     if not names:
-        raise section.refusal("method", "have a requirement to search for", "none")
+        raise section.make_refusal("method", "have a requirement to search for", "none")
     if of and (of not in names or kind.every):
         valid = "no `of`: it judges all" if kind.every else ", ".join(names)
-        raise section.refusal("of", "name a requirement that is searched for", of, valid)
-    method = kind(of=of, **section.numbers(kind))
+        raise section.make_refusal("of", "name a requirement that is searched for", of, valid)
+    method = kind(of=of, **section.read_numbers(kind))
     method.check(section, variation)
-    section.finish()
+    section.refuse_unread_keys()
     if kind.package:
         require_package(f"{root.where}: search.method {name}", *kind.package)
     return method

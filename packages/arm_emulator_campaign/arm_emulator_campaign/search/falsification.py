@@ -77,7 +77,7 @@ class CmaEs(Falsification):
         """Refuse fewer than two numbers."""
         if len(variation.numbers) < 2:
             rule = "have at least two numbers that vary"
-            raise section.refusal("method", rule, len(variation.numbers), "bayes")
+            raise section.make_refusal("method", rule, len(variation.numbers), "bayes")
 
     def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
         """Return its course."""

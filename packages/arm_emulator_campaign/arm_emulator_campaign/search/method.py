@@ -72,7 +72,7 @@ class Method:
     def check(self, section: Section, variation: Variation) -> None:
         """Refuse a campaign that it cannot search."""
         if not variation.numbers:
-            raise section.refusal("method", "have numbers that vary", "none")
+            raise section.make_refusal("method", "have numbers that vary", "none")
 
     def runs(self, D: int) -> int:
         """Return how many runs it takes at most."""

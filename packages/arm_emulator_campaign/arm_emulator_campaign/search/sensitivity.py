@@ -29,7 +29,7 @@ class Sensitivity(Method):
         super().check(section, variation)
         if variation.correlation is not None:
             rule = "have independent numbers, for which its indices are defined"
-            raise section.refusal("method", rule, "correlate", "a file without correlate")
+            raise section.make_refusal("method", rule, "correlate", "a file without correlate")
 
     def _make_findings(
         self,
@@ -69,7 +69,7 @@ class Sobol(Sensitivity):
         """Refuse a base for which its sequence is not balanced."""
         super().check(section, variation)
         if int(self.base) & (int(self.base) - 1):
-            raise section.refusal("base", "be a power of two", int(self.base))
+            raise section.make_refusal("base", "be a power of two", int(self.base))
 
     def runs(self, D: int) -> int:
         """Return how many runs it takes."""
@@ -116,7 +116,7 @@ class Morris(Sensitivity):
         """Refuse an odd count of levels."""
         super().check(section, variation)
         if int(self.levels) % 2:
-            raise section.refusal("levels", "be even", int(self.levels))
+            raise section.make_refusal("levels", "be even", int(self.levels))
 
     def runs(self, D: int) -> int:
         """Return how many runs it takes."""

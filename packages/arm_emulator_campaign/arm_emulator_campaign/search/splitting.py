@@ -104,7 +104,9 @@ class Splitting(ByLevels):
     def check(self, section: Section, variation: Variation) -> None:
         """Refuse a search without one requirement; numbers need not vary, noise suffices."""
         if not self.of:
-            raise section.refusal("of", "name the requirement whose margin leads to it", "nothing")
+            raise section.make_refusal(
+                "of", "name the requirement whose margin leads to it", "nothing"
+            )
 
     def runs(self, D: int) -> int:
         """Return how many runs, or parts of runs, it takes at most."""

@@ -48,7 +48,7 @@ class Subset(ByLevels):
         super().check(section, variation)
         if self.share * self.per_level < 2.0:
             rule = f"leave two chains a level, {2.0 / self.share:g} runs"
-            raise section.refusal("per_level", rule, int(self.per_level))
+            raise section.make_refusal("per_level", rule, int(self.per_level))
 
     def runs(self, D: int) -> int:
         """Return how many runs it takes at most."""

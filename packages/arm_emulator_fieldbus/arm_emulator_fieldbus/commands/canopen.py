@@ -8,8 +8,22 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.extension.base import KEEP_NOTHING, Refusal, find_scene, parse_address, warn
-from arm_emulator.extension.commands import Clock, Keep, PageAt, SceneName, command, output, watched
+from arm_emulator.extension.base import (
+    KEEP_NOTHING,
+    Refusal,
+    find_scene,
+    parse_address,
+    print_warnings,
+)
+from arm_emulator.extension.commands import (
+    Clock,
+    Keep,
+    PageAt,
+    SceneName,
+    command,
+    output,
+    serve_controls,
+)
 from arm_emulator.extension.machine import Plant, load_scene, withheld_words
 from arm_emulator.extension.runs import Recorder, load_gains
 from arm_emulator_fieldbus.can_bus import Bus, BusService, open_bus
@@ -31,7 +45,7 @@ def load_segment(
     """
     file = find_scene(scene_name)
     scene, servo = load_scene(file), load_gains(file).servo
-    warn(*scene.warnings)
+    print_warnings(*scene.warnings)
     drives = Drives(Plant(scene), servo, CANOPEN)
     return CanSegment(drives, first, lockstep=lockstep, sync_period=sync_period)
 
@@ -88,7 +102,7 @@ def canopen(
             lock-step.
         eds: folder for the drives' data sheets, which are written instead.
     """
-    outputs.check("canopen")
+    outputs.check_options("canopen")
     if eds is not None:
         return write_eds(scene, eds)
     lockstep = clock == "lockstep"
@@ -108,9 +122,9 @@ def canopen(
         period = None if lockstep else round(machine.servo_period * 1e9)
         try:
             plant = segment.drives.plant
-            with Recorder(plant, outputs, waits=lockstep), watched(plant, page) as server:
+            with Recorder(plant, outputs, waits=lockstep), serve_controls(plant, page) as server:
                 print("canopen: ready", flush=True)
-                BusService(on, segment, period).serve(server.poll)
+                BusService(on, segment, period).serve(server.poll_requests)
         finally:
             output.facts({"ignored": on.ignored})
             if on.ignored:

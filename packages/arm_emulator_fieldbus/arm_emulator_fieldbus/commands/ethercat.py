@@ -8,8 +8,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.extension.base import KEEP_NOTHING, Refusal, find_scene, warn
-from arm_emulator.extension.commands import Keep, PageAt, SceneName, command, output, watched
+from arm_emulator.extension.base import KEEP_NOTHING, Refusal, find_scene, print_warnings
+from arm_emulator.extension.commands import Keep, PageAt, SceneName, command, output, serve_controls
 from arm_emulator.extension.compiler import CData
 from arm_emulator.extension.machine import Scene, load_scene, withheld_words
 from arm_emulator.extension.runs import Recorder, load_gains
@@ -44,7 +44,7 @@ def ethercat(
         lockstep: a servo period per frame of process data (default).
         realtime: servo periods by the clock.
     """
-    outputs.check("ethercat")
+    outputs.check_options("ethercat")
     if lockstep and realtime:
         raise Refusal("ethercat", "--realtime", "stand without --lockstep", "both")
     if esi is not None:
@@ -70,9 +70,9 @@ def ethercat(
             print(f"ethercat: {interface} is down: ip link set {interface} up", file=sys.stderr)
     try:
         plant = segment.drives.plant
-        with Recorder(plant, outputs, waits=not realtime), watched(plant, page) as server:
+        with Recorder(plant, outputs, waits=not realtime), serve_controls(plant, page) as server:
             print(f"ethercat: on {interface}, until Ctrl-C", flush=True)
-            while not segment.figures.diverged and server.poll():
+            while not segment.figures.diverged and server.poll_requests():
                 segment.serve(descriptor, _TURN)
         print(f"scene {machine.name}: the machine has diverged", file=sys.stderr)
         return 1
@@ -99,7 +99,7 @@ def write_esi(scene_name: str, file: Path) -> int:
 def _load_segment(scene_name: str, lockstep: bool) -> tuple[Scene, Segment]:
     path = find_scene(scene_name)
     scene = load_scene(path)
-    warn(*scene.warnings)
+    print_warnings(*scene.warnings)
     servo = load_gains(path).servo
     return scene, Segment(scene, servo, lockstep)
 

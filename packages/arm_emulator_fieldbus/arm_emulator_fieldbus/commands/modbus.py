@@ -50,7 +50,7 @@ def modbus(
         link: symbolic link to the port.
         registers: print the table of registers, and end.
     """
-    outputs.check("modbus")
+    outputs.check_options("modbus")
     if registers:
         return _print_registers(scene)
     if not 50 <= baud <= LARGEST_BAUD:

@@ -15,7 +15,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.extension.base import KEEP_NOTHING, Refusal, find_scene, warn
+from arm_emulator.extension.base import KEEP_NOTHING, Refusal, find_scene, print_warnings
 from arm_emulator.extension.commands import (
     Keep,
     PageAt,
@@ -27,9 +27,9 @@ from arm_emulator.extension.commands import (
     ctrl_c_ends_at_once,
     output,
     report_run,
-    stay,
+    serve_controls,
     ticks_of,
-    watched,
+    wait_for_ctrl_c,
 )
 from arm_emulator.extension.machine import Diverged, explain_divergence, load_scene
 from arm_emulator.extension.runs import (
@@ -79,9 +79,9 @@ def firmware(
         stop_when: condition at which gdb halts the firmware, and with it the machine.
         uart: a serial line of the board: stdout, pty or none (default: the first to stdout).
     """
-    outputs.check("firmware")
+    outputs.check_options("firmware")
     machine = load_scene(find_scene(scene))
-    warn(*machine.warnings)
+    print_warnings(*machine.warnings)
     wiring = load_board(board, machine.joint_names)
     check = partial(check_targets, machine)
     table = None if targets is None else load_target_table(targets, machine.joint_names, check)
@@ -101,13 +101,15 @@ def firmware(
             stops = Breakpoint(table_run.session.plant, stop_when, "firmware: --stop-when")
             open_.callback(stops.close)
             chip.break_at(stops.stop)
-        server = open_.enter_context(watched(table_run.session.plant, page, steps=True, waits=True))
+        server = open_.enter_context(
+            serve_controls(table_run.session.plant, page, steps=True, waits=True)
+        )
         with ctrl_c_ends_at_once():
             if gdb is not None:
                 _wait_for_gdb(chip, gdb, firmware)
             started = time.perf_counter()
             try:
-                server.drive(table_run.advance, ticks)
+                server.advance_ticks(table_run.advance, ticks)
             except (Diverged, FirmwareEnd) as fault:
                 print(explain_divergence(fault), file=sys.stderr)
                 output.facts({"scene": machine.name, "failed": explain_divergence(fault)})
@@ -133,7 +135,7 @@ def firmware(
         if figures.faults:
             print(f"first fault       {chip.fault}")
         if page is not None:
-            stay()
+            wait_for_ctrl_c()
         return output.judge("firmware", missed)
 
 

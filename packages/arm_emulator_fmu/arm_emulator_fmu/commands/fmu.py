@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from arm_emulator.extension.base import warn
+from arm_emulator.extension.base import print_warnings
 from arm_emulator.extension.commands import SceneName, command, output
 from arm_emulator.extension.machine import load_scene
 from arm_emulator_fmu.export import TARGET, export
@@ -33,7 +33,7 @@ def fmu(
     """
     names = None if varied is None else [name for name in varied.split(",") if name]
     machine = load_scene(scene, {} if names is None else {"varied": names})
-    warn(*machine.warnings)
+    print_warnings(*machine.warnings)
     export(machine, out, target or TARGET, fmi, windows)
     parameters = f", {len(machine.varied)} parameters" if machine.varied else ""
     output.line(

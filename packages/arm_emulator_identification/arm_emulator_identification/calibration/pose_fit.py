@@ -119,7 +119,7 @@ class PoseFit:
     def deviations(self) -> dict[str, Deviation]:
         """The displacements, as deviations of joints."""
         return {
-            name: Deviation.of_frame(displacement)
+            name: Deviation.from_frame(displacement)
             for name, displacement in self.displacements.items()
         }
 

@@ -22,7 +22,7 @@ from arm_emulator_identification.calibration.drawn_deviations import draw_deviat
 from arm_emulator_identification.stages import show_stages
 
 CYCLES = Number("--cycles", at_least=2, at_most=10_000, whole=True)
-CENTRE = Number.within("--centre", "m", 1e3)
+CENTRE = Number.bound_size("--centre", "m", 1e3)
 EDGE = Number("--edge", "m", above=0.0, at_most=10.0)
 DWELL = Number("--dwell", "s", above=0.0, at_most=100.0)
 POSES = Number("--fit", at_least=0, at_most=100_000, whole=True)
@@ -77,18 +77,18 @@ def accuracy(
     """
     for number, value in ((CYCLES, cycles), (DWELL, dwell), (POSES, fit), (CHECK, held),
                           (TRACKER, tracker), (TRACKER_ANGLE, tracker_angle),
-                          (SEED.named("--seed"), seed)):  # fmt: skip
-        number.take("accuracy", value)
+                          (SEED.rename("--seed"), seed)):  # fmt: skip
+        number.check_value("accuracy", value)
     if edge is not None:
-        EDGE.take("accuracy", edge)
+        EDGE.check_value("accuracy", edge)
     for coordinate in centre or ():
-        CENTRE.take("accuracy", coordinate)
+        CENTRE.check_value("accuracy", coordinate)
     if fit and out.suffix != ".yaml":
         raise Refusal("accuracy", "--out", "end in .yaml", out)
     file = find_scene(scene)
     machine, gains = load_scene(file), load_gains(file)
     if draw is not None:
-        machine = _draw(machine, file, int(SEED.named("--draw").take("accuracy", draw)))
+        machine = _draw(machine, file, int(SEED.rename("--draw").check_value("accuracy", draw)))
     angle = math.inf if positions else tracker_angle
     test = AccuracyTest(cycles, centre, edge, dwell, directions, fit, held, tracker, angle, seed)
     with show_stages() as stage:

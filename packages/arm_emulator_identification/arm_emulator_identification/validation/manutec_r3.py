@@ -97,7 +97,7 @@ def simulate(
         "q": truth.q[0], "v": truth.v[0],
     })  # fmt: skip
     travel = Q_END - Q_BEGIN
-    axes = header.rows("manutec_axis", AXES)
+    axes = header.make_rows("manutec_axis", AXES)
     for name, values in {
         "n": get_gear_ratios(), "w": REGULATOR_W, "D": REGULATOR_D, "begin": Q_BEGIN, "way": travel,
         "x": x, "C": C,
@@ -108,12 +108,17 @@ def simulate(
         1.0 / (abs(travel) / LARGEST_SPEED).max(),
         1.0 / (abs(travel) / LARGEST_ACCELERATION).max(),
     )
-    path = header.new("manutec_path", rate=rate, change=change)
+    path = header.make_struct("manutec_path", rate=rate, change=change)
     periods = int(END / period + 1e-6)
     out = np.empty((periods + 1, 5, AXES))
     began = time.perf_counter()
     result = plant.core.manutec_run(
-        plant.ticks, header.pointer("manutec_axis", axes), path, period, periods, c_pointer(out)
+        plant.ticks,
+        header.make_pointer("manutec_axis", axes),
+        path,
+        period,
+        periods,
+        c_pointer(out),
     )
     seconds = time.perf_counter() - began
     if result != ARM_OK:

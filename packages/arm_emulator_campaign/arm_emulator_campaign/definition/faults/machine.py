@@ -27,7 +27,7 @@ class Machine(Fault):
     @classmethod
     def others(cls, section: Section) -> dict[str, Any]:
         """Return the name."""
-        return {"fault": section.text("fault")}
+        return {"fault": section.read_text("fault")}
 
     def check(self, scene: Scene, where: str) -> None:
         """Refuse what the scene does not list, or a magnitude out of its range."""
@@ -35,7 +35,7 @@ class Machine(Fault):
         if self.fault not in listed:
             listed_names = ", ".join(listed) or f"none, set: {{faults: [{self.fault}]}} lists it"
             raise Refusal(where, "fault", "be listed by the scene", self.fault, listed_names)
-        listed[self.fault].take(where, self.magnitude, "magnitude")
+        listed[self.fault].check_value(where, self.magnitude, "magnitude")
 
     def begins(self, scene: Scene) -> Change:
         """Return its magnitude."""

@@ -40,11 +40,11 @@ class OnLink(Fault):
     def others(cls, section: Section) -> dict[str, Any]:
         """Return link, vectors and axes."""
         vectors = {
-            name: section.vector(bound.named(name)) or NO_WRENCH
+            name: section.read_vector(bound.rename(name)) or NO_WRENCH
             for name, bound in cls.vectors.items()
         }
-        axes = section.choice("axes", WRENCH_AXES, default="world")
-        return {"link": section.text("link"), "axes": axes, **vectors}
+        axes = section.read_choice("axes", WRENCH_AXES, default="world")
+        return {"link": section.read_text("link"), "axes": axes, **vectors}
 
     @classmethod
     def needs(cls, scene: Mapping[str, Any]) -> dict[str, Any]:
