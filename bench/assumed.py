@@ -115,7 +115,7 @@ def simulate_demos(scene_name: str, arms: list[Values], instructions: int | None
 def make_demo(run: OfflineRun, file: Path, instructions: int | None) -> Array:
     """Return target minus tool before each instruction (K + 1, 3) [m]; NaN once it diverges."""
     kinematics, period_ns = run.controller.kinematics, run.session.period_ns
-    plan = DemoPlan.load(file, run.motion_ticks * period_ns)
+    plan = DemoPlan.load_plan(file, run.motion_ticks * period_ns)
     R_WT, p_WT = kinematics.forward(run.session.scene.start)
     target = Pose(p_WT + plan.displacement, R_WT)
     run.instructor.add(plan.settle_ns, target)

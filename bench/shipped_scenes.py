@@ -63,7 +63,7 @@ def _make_tasks(scene: Scene, stripped: Scene) -> tuple[dict[str, Task], dict[st
 def _record_demo_commands(scene: Scene) -> tuple[Array, int]:
     """Return the commands of settling and of the demo's first second (K, N), and the first's K."""
     offline_run = load_offline_run(scene.name)
-    plan = DemoPlan.load(
+    plan = DemoPlan.load_plan(
         find_scene(scene.name), offline_run.motion_ticks * offline_run.session.period_ns
     )
     R_WT, p_WT = offline_run.controller.kinematics.forward(scene.start)

@@ -39,11 +39,11 @@ DOOR = re.compile(r"^<!-- door: (.+?) \| (.+) -->$", re.M)
 
 
 def _write_help(_: str) -> str:
-    from arm_emulator.cli.arguments import page_of
+    from arm_emulator.cli.arguments import write_page
     from arm_emulator.cli.command import command_names, load_command
 
     pages = (
-        (name, page_of(command)) for name in command_names() if (command := load_command(name))
+        (name, write_page(command)) for name in command_names() if (command := load_command(name))
     )
     return "\n\n".join(f"## {name}\n\n```text\n{page.rstrip()}\n```" for name, page in pages)
 

@@ -34,9 +34,9 @@ class Health:
         fault = self._session.fault
         if fault is not None and fault is not self._reported:
             self._reported = fault
-            from arm_emulator.analysis.stability import explain  # not needed before
+            from arm_emulator.analysis.stability import explain_divergence  # not needed before
 
-            explain(fault)
+            explain_divergence(fault)
             self._diagnostics.error(str(fault))
             self._logger.error(str(fault))
             self._view.show_event(str(fault), "ERROR")

@@ -15,7 +15,7 @@ from test_bags import run
 from arm_emulator.bags import recorded_topics
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.check_bag import check_bag
-from arm_emulator.cli.commands.replay import offer, replay
+from arm_emulator.cli.commands.replay import choose_publishing_qos, replay_bag
 from arm_emulator.ros.messages.message_types import get_message_class
 from arm_emulator.ros.recording.bag_metadata import Topic
 from arm_emulator.ros.recording.bag_writer import BagWriter
@@ -110,7 +110,7 @@ def test_a_replay_of_no_message_is_refused(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as writer:
         writer.add_topic(Topic("/talk", "std_msgs/msg/String"))
     with pytest.raises(Refusal, match="the bag must hold messages, got none"):
-        replay(tmp_path / "bag")
+        replay_bag(tmp_path / "bag")
 
 
 def test_a_bag_of_a_missing_scene_is_refused_by_its_name(
@@ -143,8 +143,8 @@ def test_a_recorder_requests_the_qos_that_all_publishers_offer() -> None:
     assert choose_qos([latched, hasty]).durability == DurabilityPolicy.VOLATILE
     assert choose_qos([latched, hasty]).reliability == ReliabilityPolicy.BEST_EFFORT
     # And a replay offers what serves the listeners of each.
-    assert offer([latched, hasty]).durability == DurabilityPolicy.TRANSIENT_LOCAL
-    assert offer([latched, hasty]).reliability == ReliabilityPolicy.RELIABLE
-    assert offer([hasty]).reliability == ReliabilityPolicy.BEST_EFFORT
+    assert choose_publishing_qos([latched, hasty]).durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert choose_publishing_qos([latched, hasty]).reliability == ReliabilityPolicy.RELIABLE
+    assert choose_publishing_qos([hasty]).reliability == ReliabilityPolicy.BEST_EFFORT
     manual = QoSProfile(depth=1, liveliness=LivelinessPolicy.MANUAL_BY_TOPIC)
-    assert offer([manual]).liveliness == LivelinessPolicy.MANUAL_BY_TOPIC
+    assert choose_publishing_qos([manual]).liveliness == LivelinessPolicy.MANUAL_BY_TOPIC

@@ -88,7 +88,7 @@ def test_every_argument_is_explained_and_every_command_has_a_page(command: Comma
 def test_misspelled_words_are_refused_in_a_line_with_the_right_word() -> None:
     draw = random.Random(1)
     for command in commands():
-        names = options_of(arguments.page_of(command))
+        names = options_of(arguments.write_page(command))
         for name in names:
             letters = list(name)
             at = draw.randrange(3, len(name)) if len(name) > 4 else 2
@@ -180,7 +180,7 @@ def test_completion_knows_every_command_and_option(shell: str, tmp_path: Path) -
     assert code == 0 and not errors
     for command in commands():
         assert command.name in script, command.name
-        for option in options_of(arguments.page_of(command)):
+        for option in options_of(arguments.write_page(command)):
             assert option.lstrip("-") in script, (command.name, option)
     file = tmp_path / "completion"
     file.write_text(script)

@@ -74,7 +74,7 @@ def test_gains_are_located_from_any_folder(
         assert str(find_beside(file, "motion")) in commands["motion_controller"], spelling
         assert f"scene:={file}" in commands["emulator"], spelling
         assert load_gains(file).servo.joint_names == load_scene(spelling).joint_names
-        assert DemoPlan.load(file, 50_000_000).instructions == 40
+        assert DemoPlan.load_plan(file, 50_000_000).instructions == 40
     run = load_offline_run(str(scene))
     run.advance(3)
     assert run.session.tick == 3

@@ -25,8 +25,8 @@ from arm_emulator import (
     sensitivities,
 )
 from arm_emulator.analysis.holding import LinkLoads, find_overloads
-from arm_emulator.analysis.sensitivities import numbers_of
-from arm_emulator.cli.commands.tune import tune
+from arm_emulator.analysis.sensitivities import list_varied_numbers
+from arm_emulator.cli.commands.tune import tune_scene
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.machine.session.tool_chain import ToolChain
 from arm_emulator.motion.model.link_torques import LinkTorques
@@ -123,8 +123,8 @@ def test_the_links_move_as_by_explicit_constraints(name: str, tmp_path: Path) ->
         expected = truth.accelerations(p, v, T)
         actual = links.accelerations(p, v, T)
         np.testing.assert_allclose(actual, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
-        M, still = loads.mass_matrix(p), np.zeros_like(v)
-        actual = np.linalg.solve(M, T - loads.weight(p))
+        M, still = loads.compute_mass_matrix(p), np.zeros_like(v)
+        actual = np.linalg.solve(M, T - loads.compute_weight(p))
         expected = truth.accelerations(p, still, T)
         np.testing.assert_allclose(actual, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
 
@@ -258,7 +258,7 @@ def assert_keeps_energy(plant: Plant) -> None:
     for _ in range(20):
         plant.advance(np.zeros(N), 100)
         moved.append(plant.energy - before)
-    v, M = plant.state.v, LinkLoads(plant.scene).mass_matrix(plant.state.q)
+    v, M = plant.state.v, LinkLoads(plant.scene).compute_mass_matrix(plant.state.q)
     assert np.abs(v).max() > 0.3 and np.abs(moved).max() < 1e-6 * 0.5 * v @ M @ v
 
 
@@ -368,7 +368,7 @@ def test_an_arm_with_a_differential_goes_where_it_is_sent(tmp_path: Path) -> Non
     for name in shares:
         del scene["joints"][name]["end_stops"]
     written.file.write_text(yaml.safe_dump(scene))
-    assert tune(str(written.file), write=True) == 0
+    assert tune_scene(str(written.file), write=True) == 0
     scene, gains = load_scene(written.file), load_gains(written.file)
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     truth = Lagrange(write_serial("arm", WRIST), make_coupling_matrix(WRIST, shares), np.zeros(5))
@@ -404,7 +404,7 @@ def test_derivatives_are_those_of_the_motion(tmp_path: Path) -> None:
     names = ["joints.j3.gear.stiffness", "links.l5.mass"]
     scene = machine(tmp_path, *ARMS["telescope"], varied=names)
     rows = np.random.default_rng(3).normal(0.0, 0.4, (10, len(scene.joints)))
-    of, values = sensitivities(scene, rows, names), numbers_of(scene)
+    of, values = sensitivities(scene, rows, names), list_varied_numbers(scene)
     for i, name in enumerate(names):
         value, ends = values[name].value, []
         for share in (1e-4, -1e-4):

@@ -29,7 +29,7 @@ needs_robots = pytest.mark.skipif(
 def load_demo(scene_name: str) -> tuple[Scene, Gains, DemoPlan]:
     file = find_scene(scene_name)
     gains = load_gains(file)
-    return load_scene(file), gains, DemoPlan.load(file, round(gains.motion.period * 1e9))
+    return load_scene(file), gains, DemoPlan.load_plan(file, round(gains.motion.period * 1e9))
 
 
 def signal_of(recording: Path, entity: str) -> dict[int, float]:
@@ -97,7 +97,7 @@ def test_demo(scene: str, tmp_path: Path) -> None:
         ]
     assert min(signals[0]) == 0
     # At its end the recording has the motion that follows the experiment, so that it can be seen.
-    plan = DemoPlan.load(find_scene(scene), run.session.period_ns * run.motion_ticks)
+    plan = DemoPlan.load_plan(find_scene(scene), run.session.period_ns * run.motion_ticks)
     assert plan.motion is not None and np.linalg.norm(plan.motion) > 0.2  # m
     end = forward(np.array([values[max(values)] for values in signals]))[1]
     # 1 mm: what is left by encoders and by gears under the weight is below (docs/validation).
@@ -108,11 +108,11 @@ def test_the_prediction_names_the_missed_target_or_place() -> None:
     """A place beside the predicted one, a target out of reach, one that is not reached yet."""
     scene, gains, plan = load_demo("three_axis")
     met = predict_rest(scene, gains, plan)
-    assert met.target == "reached" and met.missed_by(met.deviations, exact=True) == ""
+    assert met.target == "reached" and met.describe_miss(met.deviations, exact=True) == ""
     beside = met.deviations + 0.5 * NEAR * np.linalg.norm(met.deviations[0]) * np.eye(3)[0]
-    assert met.missed_by(beside, exact=False) == ""
-    assert "beside the predicted place" in met.missed_by(beside, exact=True)
-    assert "beside the predicted place" in met.missed_by(met.deviations + 1e-3, exact=False)
+    assert met.describe_miss(beside, exact=False) == ""
+    assert "beside the predicted place" in met.describe_miss(beside, exact=True)
+    assert "beside the predicted place" in met.describe_miss(met.deviations + 1e-3, exact=False)
     path_gains = dataclasses.replace(gains, motion=dataclasses.replace(gains.motion, method="way"))
     far = dataclasses.replace(plan, displacement=np.array([5.0, 0.0, 0.0]), instructions=400)
     for target, variant in (
@@ -121,4 +121,4 @@ def test_the_prediction_names_the_missed_target_or_place() -> None:
     ):
         result = predict_rest(scene, path_gains, variant)
         assert result.target == target
-        assert f"the target is {target}" in result.missed_by(result.deviations, exact=True)
+        assert f"the target is {target}" in result.describe_miss(result.deviations, exact=True)

@@ -269,7 +269,7 @@ def test_friction_of_the_machine_is_the_budget_at_random_torques_and_speeds(
             speed = float(rng.choice([-1.0, 1.0]) * 10 ** rng.uniform(-3.0, 1.0))
             plant.put("test", {"q": [0.0], "v": [speed], "theta_m": [gear / 1e4],
                                "omega_m": [speed]})  # fmt: skip
-            now = terms.of(plant.save(), np.array([tau])).rotor["friction"][0]
+            now = terms.evaluate_torques(plant.save(), np.array([tau])).rotor["friction"][0]
             budget = law(1.0, speed, tau, gear, abs(tau) > abs(gear)) + 0.5 * abs(speed)
             assert -now * np.sign(speed) == pytest.approx(budget, rel=1e-9), (tau, gear, speed)
 

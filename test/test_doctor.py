@@ -32,10 +32,10 @@ def few_imports(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_each_finding_is_a_line_and_a_row_of_json(
     few_imports: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code = doctor.doctor()
+    code = doctor.check_machine()
     lines = capsys.readouterr().out.splitlines()
-    with output.printed(as_json=True):
-        assert doctor.doctor() == code
+    with output.print_at_end(as_json=True):
+        assert doctor.check_machine() == code
     rows = json.loads(capsys.readouterr().out)["findings"]
     assert len(lines) == len(rows) >= 10
     for line, row in zip(lines, rows, strict=True):

@@ -11,7 +11,7 @@ from faulty_machine import everything
 from made_bags import EmulatorBag
 
 from arm_emulator import Plant, Refusal, Scene, Session
-from arm_emulator.bags.comparison import compare
+from arm_emulator.bags.comparison import compare_bag
 from arm_emulator.machine.faults.known import FAULTS
 from arm_emulator.machine.faults.scene_faults import SceneFault
 from arm_emulator.machine.parts.measuring.sensors import ANALOG
@@ -258,7 +258,7 @@ def test_random_faults_are_repeated_to_equal_bits(tmp_path: Path) -> None:
     file.mkdir()
     session = Session(make_scene(file), "lockstep", "first_answer")
     observed = record(tmp_path / "bag", session, np.random.default_rng(5))
-    result = compare(tmp_path / "bag", str(file / "scene.yaml"))
+    result = compare_bag(tmp_path / "bag", str(file / "scene.yaml"))
     assert result.difference is None, result.difference
     assert result.tally.states == RUNS * (TICKS + 1) and result.tally.changes == 3 * RUNS
     assert observed == {fault.kind.name for fault in session.scene.faults}, "every kind"

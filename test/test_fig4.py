@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.demo.fig4 import draw_fig4, fig4
+from arm_emulator.demo.fig4 import draw_fig4, draw_figure
 
 
 @pytest.fixture
@@ -22,7 +22,7 @@ def curves(axes):
 
 
 def test_both_panels_show_millimetres_over_instructions(deviations):
-    above, below = fig4(deviations, title="three_axis").axes
+    above, below = draw_figure(deviations, title="three_axis").axes
     for axis in range(3):
         text = curves(above)[axis]
         assert np.array_equal(text.get_xdata(), np.arange(25))
@@ -33,7 +33,7 @@ def test_both_panels_show_millimetres_over_instructions(deviations):
 
 
 def test_the_residual_is_named_for_each_axis(deviations):
-    above, _ = fig4(deviations, title="three_axis").axes
+    above, _ = draw_figure(deviations, title="three_axis").axes
     words = [text.get_text() for text in above.get_legend().get_texts()]
     assert f"{deviations[-1, 1] * 1e3:+.4f} mm" in words[1]
 
@@ -41,7 +41,7 @@ def test_the_residual_is_named_for_each_axis(deviations):
 def test_zeros_leave_gaps_and_do_not_stretch_the_scale(deviations):
     deviations[3, 0] = 0.0
     deviations[4, 0] = 1e-19  # rounding noise
-    _, below = fig4(deviations, title="").axes
+    _, below = draw_figure(deviations, title="").axes
     text = curves(below)[0].get_ydata()
     assert np.isnan(text[3:5]).all()
     assert np.isfinite(text[5:]).all()

@@ -14,11 +14,11 @@ from draws import with_slow
 from machines import own_three_axis
 
 from arm_emulator import Refusal, Session, load_scene
-from arm_emulator.bags.comparison import compare
+from arm_emulator.bags.comparison import compare_bag
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.timeline_bag import ORDERS
-from arm_emulator.cli.commands.fork import fork
-from arm_emulator.cli.commands.run import run
+from arm_emulator.cli.commands.fork import fork_run
+from arm_emulator.cli.commands.run import run_scene
 from arm_emulator.machine.plant.plant_state import SET
 from arm_emulator.ros.recording.bag import Bag
 from arm_emulator.ros.recording.bag_metadata import FORKED_AT, PARENT
@@ -63,7 +63,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def straight(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     bag = tmp_path_factory.mktemp("bags") / "straight"
-    code = run(str(scene), seconds=LAST * 1e-3, displacement=(0.0, 0.05, 0.0), bag=bag)
+    code = run_scene(str(scene), seconds=LAST * 1e-3, displacement=(0.0, 0.05, 0.0), bag=bag)
     assert code == 1, "the tool is still on its way"
     return bag
 
@@ -74,7 +74,7 @@ def truth(session: Session) -> list[bytes]:
 
 
 def recorded(bag: Path, scene: Path) -> RecordedMachine:
-    machine = RecordedMachine.of(bag, load_scene(scene))
+    machine = RecordedMachine.open_run(bag, load_scene(scene))
     machine.advance(machine.last)
     return machine
 
@@ -86,10 +86,10 @@ def test_a_fork_is_the_run_that_would_have_been_changed_there(
     words, order, kind = REQUESTS[requested]
     at = random.Random(requested).randrange(20, 250)
     bag = tmp_path / "fork"
-    assert fork(straight, bag, at=at * 1e-3, seconds=0.06, scene=str(scene), **words) == int(
+    assert fork_run(straight, bag, at=at * 1e-3, seconds=0.06, scene=str(scene), **words) == int(
         "displacement" in words  # the tool is still on its way
     )
-    result = compare(bag, str(scene))
+    result = compare_bag(bag, str(scene))
     assert result.difference is None and result.tally.states == at + 61
     about = Bag(bag).about
     assert about[PARENT] == str(straight) and about[FORKED_AT] == str(at)
@@ -111,9 +111,9 @@ def test_forks_of_forks_have_all_orders_of_their_past(
     scene: Path, straight: Path, tmp_path: Path
 ) -> None:
     first, second, third = (tmp_path / name for name in ("first", "second", "third"))
-    assert fork(straight, first, at=0.2, gains=1.5, power="off", scene=str(scene)) == 0
-    assert fork(first, second, at=0.25, power="on", seconds=0.1, scene=str(scene)) == 0
-    assert fork(second, third, at=0.35, seconds=0.0, scene=str(scene)) == 0
+    assert fork_run(straight, first, at=0.2, gains=1.5, power="off", scene=str(scene)) == 0
+    assert fork_run(first, second, at=0.25, power="on", seconds=0.1, scene=str(scene)) == 0
+    assert fork_run(second, third, at=0.35, seconds=0.0, scene=str(scene)) == 0
     assert [straight_run["tick"] for straight_run in json.loads(Bag(third).about[ORDERS])] == [
         0,
         200,
@@ -159,7 +159,7 @@ def test_orders_that_are_not_of_the_bag_are_refused(
     shutil.copytree(straight, bag)
     spoil(bag)
     with pytest.raises(Refusal, match=rule):
-        fork(bag, tmp_path / "new", at=0.1, scene=str(scene))
+        fork_run(bag, tmp_path / "new", at=0.1, scene=str(scene))
     assert not (tmp_path / "new").exists()
 
 
@@ -174,7 +174,7 @@ def test_impossible_requests_are_refused_and_write_nothing(
     words: dict[str, Any], rule: str, scene: Path, straight: Path, tmp_path: Path
 ) -> None:
     with pytest.raises(Refusal, match=rule):
-        fork(straight, tmp_path / "new", scene=str(scene), **words)
+        fork_run(straight, tmp_path / "new", scene=str(scene), **words)
     assert not (tmp_path / "new").exists()
 
 

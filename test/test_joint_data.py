@@ -135,7 +135,7 @@ def test_a_new_arm_of_such_joints_moves_with_their_friction(tmp_path: Path, name
         command = tau * units
         if data.joint.unit == "V":
             command = command + vars(data.joint.motor)["back_emf_constant"] * w / Ng
-        now = terms.of(plant.save(), command).rotor["friction"] / Ng
+        now = terms.evaluate_torques(plant.save(), command).rotor["friction"] / Ng
         for j in range(2):
             budget = law(1.0, w[j], tau[j], gear[j], abs(tau[j]) > abs(gear[j]))
             expected = -np.sign(w[j]) * (budget + viscous * abs(w[j]))

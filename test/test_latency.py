@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 from arm_emulator import Refusal, load_scene
-from arm_emulator.cli.commands.latency import latency, measure_wake_up_latency, probe_latency
+from arm_emulator.cli.commands.latency import (
+    measure_latency,
+    measure_wake_up_latency,
+    probe_latency,
+)
 from arm_emulator.cli.output import output
 
 
@@ -45,9 +49,9 @@ def test_emulator_and_servo_run_at_another_rate() -> None:
 def test_rates_are_reported_plotted_and_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with output.printed(as_json=True):
+    with output.print_at_end(as_json=True):
         picture = tmp_path / "late.png"
-        code = latency(rates=(100.0, 900.0), seconds=0.1, alone=True, picture=picture)
+        code = measure_latency(rates=(100.0, 900.0), seconds=0.1, alone=True, picture=picture)
     rates = json.loads(capsys.readouterr().out)["rates"]
     assert [*rates] == ["100", "900"]
     for value in rates.values():
@@ -56,4 +60,4 @@ def test_rates_are_reported_plotted_and_refused(
     assert picture.read_bytes().startswith(b"\x89PNG")
     rule = "--rates must be a number from 1 to 20000 Hz, got 0.0"
     with pytest.raises(Refusal, match=rule):
-        latency(rates=(0.0,))
+        measure_latency(rates=(0.0,))

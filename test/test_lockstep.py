@@ -27,7 +27,7 @@ from sensor_msgs.msg import JointState
 from arm_emulator import OfflineRun, Plant, Pose, Refusal, load_scene, load_servo_config
 from arm_emulator.base.cpu_load import load_processors
 from arm_emulator.base.io.config_files import find_config
-from arm_emulator.cli.commands.run import run as run_command
+from arm_emulator.cli.commands.run import run_scene as run_command
 from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_stamp

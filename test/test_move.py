@@ -126,7 +126,7 @@ def test_a_target_is_sent_when_all_that_record_it_listen(
             publisher = sender.create_publisher(PoseStamped, "tool_target", COMMAND_QOS)
             sender.newest["clock"] = Clock()
             kind = MotionStatus.KIND_TOOL_TARGET
-            move._watch(sender, publisher, PoseStamped(), kind, None, timeout=0.1)
+            move._watch_goal(sender, publisher, PoseStamped(), kind, None, timeout=0.1)
             assert sender.spin_until(lambda: bool(heard), 5.0)
         finally:
             context.try_shutdown()

@@ -12,7 +12,7 @@ from machines import MOTOR, list_moving_joints, write_random_chain, write_scene
 from arm_emulator import Plant, Refusal, Scene, Session, load_gains, load_scene
 from arm_emulator.analysis.servo_loop import ServoLoops, check_loops
 from arm_emulator.base.io.config_files import find_config
-from arm_emulator.design.joint_gains import GearData, MotorData, design
+from arm_emulator.design.joint_gains import GearData, MotorData, compute_gains
 from arm_emulator.machine.schemes.known import SCHEMES
 from arm_emulator.runs.gains import check_fit, check_joints
 from arm_emulator.servo.servo_arm import ServoArm, Target
@@ -137,7 +137,7 @@ def test_gains_do_not_depend_on_the_direction() -> None:
     motor = MotorData(0.5, 5e-4, 0.05, 0.05, 1e-4, 4096)
     for stiffness, damping in ((None, 0.0), (1e4, 10.0)):
         forward, backward = (
-            design(motor, GearData(ratio, stiffness, damping), (0.2, 0.6), 1e-3)
+            compute_gains(motor, GearData(ratio, stiffness, damping), (0.2, 0.6), 1e-3)
             for ratio in (0.01, -0.01)
         )
         for name, value in dataclasses.asdict(forward).items():

@@ -12,12 +12,12 @@ from geometry_msgs.msg import PoseStamped
 from in_process import in_process
 from machines import own_three_axis
 
-from arm_emulator.bags.comparison import compare
+from arm_emulator.bags.comparison import compare_bag
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.bags.timeline_bag import ORDERS, TARGETS
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.commands.fork import fork
+from arm_emulator.cli.commands.fork import fork_run
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.ros.recording.bag import Bag
 from arm_emulator_msgs.srv import SetState, SetVaried
@@ -61,7 +61,7 @@ def moved(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def record_states(bag: Path, scene: Path) -> list[bytes]:
     """The machine at each tick."""
-    machine = RecordedMachine.of(bag, load_scene(scene))
+    machine = RecordedMachine.open_run(bag, load_scene(scene))
     states = [machine.session.plant.save()]
     while machine.tick < machine.last:
         machine.advance(1)
@@ -76,13 +76,13 @@ def test_a_fork_without_a_change_is_the_recorded_run(
     """From the fork on nothing but the changes by hand before it is known."""
     bag = tmp_path / "fork"
     last = next(end for end in (200, 230, 260, 320, LAST) if end > at)
-    assert fork(moved, bag, at=at * 1e-3, seconds=(last - at) * 1e-3, scene=str(scene)) == 0
+    assert fork_run(moved, bag, at=at * 1e-3, seconds=(last - at) * 1e-3, scene=str(scene)) == 0
     expected = record_states(moved, scene)
     assert record_states(bag, scene)[1:] == expected[1 : last + 1]
     assert np.ptp([np.frombuffer(state)[1] for state in expected[1:]]) > 0.005, (
         "an arm that moves [rad]"
     )
-    assert compare(bag, str(scene)).difference is None
+    assert compare_bag(bag, str(scene)).difference is None
 
 
 @pytest.mark.slow
@@ -90,9 +90,12 @@ def test_forks_of_forks_name_the_bag_with_the_targets(
     scene: Path, moved: Path, tmp_path: Path
 ) -> None:
     first, second, third = (tmp_path / name for name in ("first", "second", "third"))
-    assert fork(moved, first, at=0.21, gains=1.5, seconds=0.1, scene=str(scene)) == 0
-    assert fork(first, second, at=0.29, set_=[f"{VISCOUS}=0.1"], seconds=0.1, scene=str(scene)) == 0
-    assert fork(second, third, at=0.39, seconds=0.0, scene=str(scene)) == 0
+    assert fork_run(moved, first, at=0.21, gains=1.5, seconds=0.1, scene=str(scene)) == 0
+    assert (
+        fork_run(first, second, at=0.29, set_=[f"{VISCOUS}=0.1"], seconds=0.1, scene=str(scene))
+        == 0
+    )
+    assert fork_run(second, third, at=0.39, seconds=0.0, scene=str(scene)) == 0
     assert record_states(third, scene) == record_states(second, scene)
     assert record_states(second, scene)[1:291] == record_states(first, scene)[1:291]
     assert record_states(first, scene)[1:211] == record_states(moved, scene)[1:211]
@@ -101,7 +104,7 @@ def test_forks_of_forks_name_the_bag_with_the_targets(
     assert about[TARGETS] == str(moved)
     kinds = [order["kind"] for order in json.loads(about[ORDERS])]
     assert kinds == ["leave_changes", "gains", "leave_changes", "set_varied"]
-    assert compare(third, str(scene)).difference is None
+    assert compare_bag(third, str(scene)).difference is None
 
 
 @pytest.mark.parametrize(("words", "rule"), [
@@ -112,7 +115,7 @@ def test_impossible_requests_are_refused_and_write_nothing(
     words: dict[str, Any], rule: str, scene: Path, moved: Path, tmp_path: Path
 ) -> None:
     with pytest.raises(Refusal, match=rule):
-        fork(moved, tmp_path / "new", scene=str(scene), **{"at": 0.1, **words})
+        fork_run(moved, tmp_path / "new", scene=str(scene), **{"at": 0.1, **words})
     assert not (tmp_path / "new").exists()
 
 
@@ -124,8 +127,8 @@ def test_a_bag_that_cannot_be_repeated_is_refused(
     gains = soft.parent / "servo" / scene.name
     gains.write_text(gains.read_text().replace("position_gain: 30.0", "position_gain: 29.0"))
     with pytest.raises(Refusal, match="lead to the recorded commands"):
-        fork(moved, tmp_path / "new", at=0.01, scene=str(soft))
+        fork_run(moved, tmp_path / "new", at=0.01, scene=str(soft))
     monkeypatch.setattr(RecordedTopics, "is_real_time", True)
     with pytest.raises(Refusal, match="be of lock-step"):
-        fork(moved, tmp_path / "new", at=0.01, scene=str(scene))
+        fork_run(moved, tmp_path / "new", at=0.01, scene=str(scene))
     assert not (tmp_path / "new").exists()

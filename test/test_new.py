@@ -13,7 +13,7 @@ from test_new_drives import untuned
 
 from arm_emulator import Kinematics, Refusal, load_gains, load_scene
 from arm_emulator.cli.command_line import main
-from arm_emulator.cli.commands.tune import tune
+from arm_emulator.cli.commands.tune import tune_scene
 from arm_emulator.design.choose_joints import MAX_FINGER, MIN_ARM, choose_joints
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.design.robot_file import read_limits
@@ -137,7 +137,7 @@ def test_new_and_tune_agree(payload: float | None, tmp_path: Path) -> None:
     (tmp_path / "scara.urdf").write_text(OWN["scara"]())
     file = write_new(tmp_path / "scara.urdf", tmp_path / "new", payload=payload).file
     servo = load_gains(file).servo
-    assert tune(str(file), write=True) == 0
+    assert tune_scene(str(file), write=True) == 0
     assert load_gains(file).servo == servo
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from arm_emulator.analysis.holding import find_overloads, largest_torque
+from arm_emulator.analysis.holding import compute_largest_torque, find_overloads
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.check_scene import check_scene
 from arm_emulator.design import new_scene
@@ -21,9 +21,9 @@ from arm_emulator.design.sizing import (
     PLACEHOLDER,
     UNDERSIZED,
     Demand,
-    size,
+    size_drives,
 )
-from arm_emulator.design.survey import survey
+from arm_emulator.design.survey import inspect_arm
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.motion.model.kinematics import Kinematics
@@ -67,7 +67,7 @@ def test_a_drive_holds_and_moves_its_rated_load(seed: int) -> None:
         dataclasses.replace(joint_demand, coupling=tuple(row))
         for joint_demand, row in zip(demands, M, strict=True)
     ]
-    supply, drives = size(demands)
+    supply, drives = size_drives(demands)
     a = np.array([drive.acceleration for drive in drives])
     needs = [needed(joint_demand, [drive.speed for drive in drives]) for joint_demand in demands]
     alone = [
@@ -158,7 +158,7 @@ def test_a_makers_torque_remains_and_a_placeholder_is_replaced_joint_by_joint(
     assert weak[1:] == pytest.approx(able[1:]), "of the joint that lacks it alone"
     scene = load_scene(written.file)
     for joint, drive in zip(scene.joints, written.drives, strict=True):
-        torque = largest_torque(joint, scene.supply_voltage)
+        torque = compute_largest_torque(joint, scene.supply_voltage)
         assert torque == pytest.approx(drive.peak_torque, rel=1e-2), "the machine has it, too"
     assert not written.overloads
 
@@ -240,7 +240,7 @@ def test_the_survey_bounds_the_demands_of_poses(tmp_path: Path) -> None:
     file = tmp_path / "rod.urdf"
     file.write_text(write_serial("rod", [RobotPart("0 1 0", (length, 0.0, 0.0), mass, radius=0.0)]))
     scene = load_scene(write_new(file, tmp_path / "new").file)
-    result = survey(scene, Kinematics(scene.urdf, scene.joint_names, scene.tool))
+    result = inspect_arm(scene, Kinematics(scene.urdf, scene.joint_names, scene.tool))
     np.testing.assert_allclose(result.inertia, mass * length**2 / 3.0, rtol=1e-12)
     # The heaviest of the poses drawn is not quite the horizontal one.
     assert 0.99 < result.gravity_torque[0] / (mass * 9.81 * length / 2.0) <= 1.0

@@ -204,7 +204,7 @@ def demo_numbers(folder: Path) -> Iterator[tuple[Number, str, Read]]:
 
     def read(key: str, value: Any) -> object:
         (folder / "plan.yaml").write_text(yaml.dump(plan | {key: as_in_yaml(value)}))
-        return DemoPlan.load(scene, 10**6)
+        return DemoPlan.load_plan(scene, 10**6)
 
     settle = Number("settle", at_least=0.0, at_most=1000.0)
     yield settle, "settle", partial(read, "settle")

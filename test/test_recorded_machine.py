@@ -32,14 +32,14 @@ def test_any_tick_of_a_record_is_reached(bag: Path, run: int) -> None:
     scene = load_scene("three_axis")
     states = list[tuple[int, list[int]]]()
     runs = [states]
-    for _, state in RecordedTopics(Bag(bag)).read("motor_states"):
+    for _, state in RecordedTopics(Bag(bag)).read_messages("motor_states"):
         if state.tick == 0 and states:
             states = []
             runs.append(states)
         if state.tick == len(states):
             states.append((int(state.tick), list(state.encoder_counts)))
     states = runs[run - 1 if run > 0 else -1]
-    line = Timeline(RecordedMachine.of(bag, scene, run), every=16)
+    line = Timeline(RecordedMachine.open_run(bag, scene, run), every=16)
     assert line.run.last == len(POWERS) == len(states) - 1
     line.advance(line.run.last)
     rng = np.random.default_rng(1)
@@ -57,7 +57,7 @@ def test_any_tick_of_a_record_is_reached(bag: Path, run: int) -> None:
 @pytest.mark.parametrize("run", (0, 3, 1.5, True))
 def test_another_run_is_refused(bag: Path, run: int) -> None:
     with pytest.raises(Refusal, match="run must be"):
-        RecordedMachine.of(bag, load_scene("three_axis"), run)
+        RecordedMachine.open_run(bag, load_scene("three_axis"), run)
 
 
 @pytest.fixture
@@ -79,7 +79,7 @@ Explain = Callable[[str], tuple[object, dict[str, Any]]]
 
 
 def test_a_moment_is_explained(bag: Path, explain: Explain) -> None:
-    machine = RecordedMachine.of(bag, load_scene("three_axis"))
+    machine = RecordedMachine.open_run(bag, load_scene("three_axis"))
     machine.advance(20)
     code, now = explain("0.02")
     assert code == 0
@@ -101,7 +101,7 @@ def test_a_moment_is_explained(bag: Path, explain: Explain) -> None:
 def test_the_first_moment_of_a_condition_is_explained(
     bag: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    machine = RecordedMachine.of(bag, load_scene("three_axis"))
+    machine = RecordedMachine.open_run(bag, load_scene("three_axis"))
     speeds = [0.0]
     while machine.tick < machine.last:
         machine.advance(1)

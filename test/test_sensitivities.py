@@ -17,8 +17,8 @@ from arm_emulator import Plant, Refusal, Scene, load_scene, sensitivities
 from arm_emulator.analysis.sensitivities import (
     QUANTITIES,
     SensitiveMachine,
+    list_varied_numbers,
     make_differentiable,
-    numbers_of,
 )
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.part import Part
@@ -38,7 +38,7 @@ def inner(scene: Scene) -> list[str]:
     """The numbers that may become larger and smaller by a hundredth."""
     return [
         name
-        for name, number in numbers_of(scene).items()
+        for name, number in list_varied_numbers(scene).items()
         if (margin := 0.01 * abs(number.value)) > 0.0
         and number.number.ends[0] < number.value - margin
         and number.value + margin < number.number.ends[1]
@@ -64,7 +64,7 @@ def compare(scene: Scene, rows: Array) -> None:
     names = inner(scene)
     of = sensitivities(scene, rows, names)
     assert of.names == tuple(names)
-    varied = tuple(numbers_of(scene)[name] for name in names)
+    varied = tuple(list_varied_numbers(scene)[name] for name in names)
     values = np.abs([number.value for number in varied])
     plant = Plant(make_differentiable(scene, varied))
     assert np.abs(plant.run(rows, scene.steps_per_period) - of.q).max() < 1e-11, "the same motion"
@@ -142,11 +142,11 @@ def test_derivatives_do_not_depend_on_how_many_there_are(tmp_path: Path) -> None
     scene = mixture(tmp_path, 8)
     machine = SensitiveMachine(scene, [*inner(scene), "start.*"])
     rows, rng = draw_commands(scene, 8), np.random.default_rng(0)
-    every, places = machine.run(rows).by, np.array(machine._places)
+    every, places = machine.run_motion(rows).by, np.array(machine._places)
     for count in (1, 7, 8, 9, 16, 17, 64, 65):
         which = rng.integers(len(places), size=count)
         machine._places = places[which].tolist()
-        for quantity, by in machine.run(rows).by.items():
+        for quantity, by in machine.run_motion(rows).by.items():
             expected = every[quantity][..., which]
             off = np.abs(by - expected).max(axis=(0, 1))
             # Rounding of sums in another order.
@@ -173,7 +173,9 @@ def test_derivatives_by_the_start() -> None:
     )
     h, plant = (
         1e-3,
-        Plant(make_differentiable(scene, tuple(numbers_of(scene)[name] for name in names))),
+        Plant(
+            make_differentiable(scene, tuple(list_varied_numbers(scene)[name] for name in names))
+        ),
     )
     for k in range(6):
         ends = []

@@ -27,7 +27,7 @@ from sensed_machine import (
 
 from arm_emulator import Plant, Refusal, Scene, load_scene, load_servo_config
 from arm_emulator.analysis.servo_loop import ServoLoops
-from arm_emulator.design.tuned import run
+from arm_emulator.design.tuned import run_move
 from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator.machine.plant.outputs import ALWAYS, KNOWN
 from arm_emulator.machine.plant.scene_unit import write_scene_unit
@@ -219,7 +219,7 @@ def test_a_servo_holds_and_moves_an_arm_by_words_and_noisy_sensors() -> None:
     check_joints(scene, words)
     with pytest.raises(Refusal, match=r"servo.joints.waist.encoder_bits must be .* 0, got 16"):
         check_joints(plain, words)
-    counted, worded = run(plain, servo), run(scene, words)
+    counted, worded = run_move(plain, servo), run_move(scene, words)
     # The counts are the same, but for angles at the very edge of one.
     np.testing.assert_allclose(worded.off, counted.off, rtol=0, atol=1e-9, err_msg="the motion")
     count = TURN / 1024
@@ -228,7 +228,7 @@ def test_a_servo_holds_and_moves_an_arm_by_words_and_noisy_sensors() -> None:
         dataclasses.replace(number, value=sigma if "encoder" in number.name else 0.05)
         for number in scene.varied
     )
-    noisy = run(dataclasses.replace(scene, varied=varied), words)
+    noisy = run_move(dataclasses.replace(scene, varied=varied), words)
     at_link = scene.gear_ratios * (sigma + count)
     assert (noisy.swing < 6.0 * at_link).all(), f"at rest: {noisy.swing} of {at_link}"
     worse = np.abs(noisy.off).max(axis=0) - np.abs(counted.off).max(axis=0)
@@ -247,7 +247,7 @@ def test_a_delay_is_dead_time_of_the_loop() -> None:
     assert 5.0 < spare < 7.0, "servo periods that the loop may come late"
     assert ServoLoops(plain, servo).find_unstable() is None, "without delay"
     assert ServoLoops(scene, servo).find_unstable() is not None, "with more than that"
-    swing = [run(machine, servo).swing for machine in (plain, scene)]
+    swing = [run_move(machine, servo).swing for machine in (plain, scene)]
     assert swing[1].max() > 20.0 * swing[0].max(), f"it swings by itself: {swing}"
 
 

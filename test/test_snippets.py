@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from documents import DOCUMENTS, ROOT
 
-from arm_emulator.cli.arguments import page_of, run_with
+from arm_emulator.cli.arguments import run_with, write_page
 from arm_emulator.cli.command import load_command
 from arm_emulator.cli.command_line import main
 
@@ -167,7 +167,7 @@ def check_ours(words: list[str]) -> None:
     command = load_command(words[0])
     assert command is not None, f"no command {words[0]}"
     if any(set(word) & set("[]") for word in words):
-        help_text = page_of(command)
+        help_text = write_page(command)
         for option in re.findall(r"--[a-z-]+", " ".join(words)):
             assert option in help_text, option
         return

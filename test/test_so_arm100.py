@@ -7,7 +7,7 @@ import yaml
 
 from arm_emulator import Plant, load_scene
 from arm_emulator.base.io.config_files import find_config_folder
-from arm_emulator.cli.commands.run import run
+from arm_emulator.cli.commands.run import run_scene
 from arm_emulator.view.rerun_batches import LinkPositions
 
 CONFIG = find_config_folder()
@@ -27,7 +27,7 @@ def test_its_motors_hold_it_within_their_dry_friction(capsys: pytest.CaptureFixt
     """At rest under its servo a motor's torque is the weight's, by Pinocchio, up to friction."""
     scene = load_scene("so_arm100")
     assert scene.warnings == []
-    assert run("so_arm100", seconds=3.0) == 0, capsys.readouterr()
+    assert run_scene("so_arm100", seconds=3.0) == 0, capsys.readouterr()
     model = pin.buildModelFromUrdf(str(CONFIG / "urdf" / "so_arm100.urdf"))
     q = np.append(scene.start, 0.0)  # the jaw is the last joint
     weight = pin.computeGeneralizedGravity(model, model.createData(), q)[:-1]
@@ -48,7 +48,7 @@ def test_its_motors_hold_it_within_their_dry_friction(capsys: pytest.CaptureFixt
 
 @pytest.mark.slow
 def test_its_test_motion_ends_within_a_count_of_its_encoders() -> None:
-    assert run("so_arm100", displacement=(-0.0032, 0.0078, 0.0248), seconds=4.0) == 0
+    assert run_scene("so_arm100", displacement=(-0.0032, 0.0078, 0.0248), seconds=4.0) == 0
 
 
 def test_a_link_appears_at_its_place_though_a_joint_has_its_name() -> None:

@@ -9,7 +9,7 @@ from test_new import XACRO
 from test_new_drives import untuned
 
 from arm_emulator import Refusal, load_scene
-from arm_emulator.design.mesh_file import source_packages
+from arm_emulator.design.mesh_file import find_source_packages
 from arm_emulator.design.new_scene import write_new
 
 __all__ = ["untuned"]  # a fixture
@@ -61,7 +61,7 @@ def test_packages_of_a_clone_are_located_by_their_manifests(
     written = write_new(file, tmp_path / "new")
     assert load_scene(written.file).joint_names == ("upper_joint", "lower_joint")
     assert mesh_of(written.file) == (tmp_path / "a clone/res/meshes/plate.stl").resolve()
-    assert source_packages(file.parent)["acme_arm"] == (tmp_path / "a clone/arm").resolve()
+    assert find_source_packages(file.parent)["acme_arm"] == (tmp_path / "a clone/arm").resolve()
 
 
 @pytest.mark.usefixtures("untuned")
@@ -106,5 +106,5 @@ def test_a_manifest_that_cannot_be_read_is_skipped(tmp_path: Path) -> None:
     (tmp_path / "binary" / "package.xml").write_bytes(b"\xff\0<name>")
     (tmp_path / "folder" / "package.xml").mkdir(parents=True)
     package(tmp_path / "good", "good")
-    packages = source_packages(tmp_path / "good" / "urdf")
+    packages = find_source_packages(tmp_path / "good" / "urdf")
     assert packages["good"] == (tmp_path / "good").resolve()

@@ -77,7 +77,7 @@ def test_clients_in_sequence_get_the_bits_of_the_plant() -> None:
 
 def test_lines_of_every_invalid_kind_are_refused_and_change_no_bit() -> None:
     server, good = TcpServer(lockstep(), port=0), {"command": [1.0, 2.0, 3.0]}
-    state, before = server.answer(b"{}"), server._session.plant.save()
+    state, before = server.answer_line(b"{}"), server._session.plant.save()
     wrong = [
         b"", b"{", b"\xff\xfe", b"[" * 10_000, b"[1.0, 2.0, 3.0]", b"null", b'{"colour": 1}',
         b'{"power": false}', b'{"power": true, "tick": 0}',
@@ -91,9 +91,9 @@ def test_lines_of_every_invalid_kind_are_refused_and_change_no_bit() -> None:
         )),
     ]  # fmt: skip
     for line in wrong:
-        reply = json.loads(server.answer(line))
+        reply = json.loads(server.answer_line(line))
         assert reply.keys() == {"refused"} and "\n" not in reply["refused"], line
-        assert server.answer(b"{}") == state and server._session.plant.save() == before, line
+        assert server.answer_line(b"{}") == state and server._session.plant.save() == before, line
     assert server.refused == len(wrong)
     server._session.close()
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from arm_emulator import OfflineRun, Pose, Refusal, Session, Timeline
-from arm_emulator.bags.comparison import compare
+from arm_emulator.bags.comparison import compare_bag
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.timeline_bag import write_timeline
 from arm_emulator.cli.command_line import main
@@ -70,19 +70,19 @@ def test_forks_of_forks_are_bags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         branch.go_to(branch.newest)
         expected[name] = rows(branch.run.session)
     for name, branch in lines.items():
-        comparison = compare(tmp_path / name)
+        comparison = compare_bag(tmp_path / name)
         assert comparison.difference is None
         assert comparison.tally.states == branch.newest + 1
         about = Bag(tmp_path / name).about
         assert about.get(PARENT) == (str(tmp_path / parents[name]) if name in parents else None)
         if name in parents:
             assert about[FORKED_AT] == str(branch.begins)
-        machine = RecordedMachine.of(tmp_path / name)
+        machine = RecordedMachine.open_run(tmp_path / name)
         machine.advance(machine.last)
         assert rows(machine.session) == expected[name]
     # The parts before a fork are the same; from there on they differ.
     for name, parent in parents.items():
-        sides = (RecordedMachine.of(tmp_path / folder) for folder in (parent, name))
+        sides = (RecordedMachine.open_run(tmp_path / folder) for folder in (parent, name))
         difference, equal = find_first_difference(*sides)
         assert difference is not None and lines[name].begins < equal + 1
     monkeypatch.setattr("sys.argv", ["arm_emulator", "check-bag", str(tmp_path / "second")])

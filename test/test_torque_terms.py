@@ -68,7 +68,7 @@ def moments(scene: Scene, seed: int) -> tuple[Plant, list[tuple[bytes, np.ndarra
         for _ in range(int(rng.integers(1, 8))):
             plant.exchange(command)
         saved = plant.save()
-        records.append((saved, command, terms.of(saved, command)))
+        records.append((saved, command, terms.evaluate_torques(saved, command)))
     return plant, records
 
 
@@ -138,9 +138,9 @@ def test_the_external_wrench_is_a_term_of_its_own(tmp_path: Path) -> None:
     pin.framesForwardKinematics(model, data, turned)
     lever = data.oMf[frame].rotation @ point
     expected = J[:3].T @ force + J[3:].T @ (moment + np.cross(lever, force))
-    now = terms.of(plant.save(), np.zeros(3))
+    now = terms.evaluate_torques(plant.save(), np.zeros(3))
     np.testing.assert_allclose(now.link["external wrench"], expected, atol=1e-11)
-    assert "external wrench" not in TorqueTerms(load_scene("three_axis")).of(
+    assert "external wrench" not in TorqueTerms(load_scene("three_axis")).evaluate_torques(
         Plant("three_axis").save(), np.zeros(3)
     ).link  # fmt: skip
 
@@ -150,4 +150,4 @@ def test_foreign_bytes_are_refused(wrong: bytes) -> None:
     from arm_emulator.base.refusal import Refusal
 
     with pytest.raises(Refusal, match=r"Plant.restore"):
-        TorqueTerms(load_scene("three_axis")).of(wrong, np.zeros(3))
+        TorqueTerms(load_scene("three_axis")).evaluate_torques(wrong, np.zeros(3))

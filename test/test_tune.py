@@ -13,14 +13,14 @@ from machines import CONFIG, Oracle, write_scene
 
 from arm_emulator import Refusal, load_scene, load_servo_config
 from arm_emulator.analysis.servo_loop import draw_poses
-from arm_emulator.cli.commands.tune import tune
+from arm_emulator.cli.commands.tune import tune_scene
 from arm_emulator.design import tuned
 from arm_emulator.design.gain_text import write_gains
 from arm_emulator.design.tuned import (
-    compute,
     compute_falls,
+    compute_group_gains,
     compute_link_inertias,
-    group_gains,
+    compute_servo,
     hold_falling_link,
 )
 from arm_emulator.servo.servo_config import ServoConfig
@@ -165,10 +165,10 @@ def test_gains_of_an_arm_exceed_the_growth_of_its_falling_links(
     """As if ur5 had a tower on its shoulder: that joint alone gets more stiffness."""
     scene, servo = load_scene("ur5"), load_servo_config(CONFIG / "servo" / "ur5.yaml")
     inertias = compute_link_inertias([scene])
-    before = compute(scene, servo, inertias)
+    before = compute_servo(scene, servo, inertias)
     fall = 3.0 * before.joints[1].position_gain * before.joints[1].velocity_gain
     monkeypatch.setattr(tuned, "compute_falls", lambda scene: fall * np.eye(6)[1])
-    after = compute(scene, servo, inertias)
+    after = compute_servo(scene, servo, inertias)
     shoulder = after.joints[1]
     assert shoulder.position_gain * shoulder.velocity_gain >= 0.99 * 2.0 * fall
     assert [*after.joints[:1], *after.joints[2:]] == [*before.joints[:1], *before.joints[2:]]
@@ -177,10 +177,10 @@ def test_gains_of_an_arm_exceed_the_growth_of_its_falling_links(
 def test_a_slow_joint_does_not_make_all_others_slow() -> None:
     """As the base of Fetch, whose arm then took 12 s to come to rest."""
     arm = [20.7, 21.2, 41.3, 33.9, 34.0, 96.2]
-    assert group_gains(arm) == [20.7] * 6
-    assert group_gains([0.75, *arm]) == [0.75, *[20.7] * 6]
-    assert group_gains([0.75, 4.6, *arm]) == [0.75, 0.75, *[20.7] * 6]
-    assert group_gains([arm[5], 0.75]) == [arm[5], 0.75]
+    assert compute_group_gains(arm) == [20.7] * 6
+    assert compute_group_gains([0.75, *arm]) == [0.75, *[20.7] * 6]
+    assert compute_group_gains([0.75, 4.6, *arm]) == [0.75, 0.75, *[20.7] * 6]
+    assert compute_group_gains([arm[5], 0.75]) == [arm[5], 0.75]
 
 
 def test_tune_shows_draws_and_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -192,7 +192,7 @@ def test_tune_shows_draws_and_writes(tmp_path: Path, capsys: pytest.CaptureFixtu
     file = tmp_path / "servo" / "arm.yaml"
     file.write_text((CONFIG / "servo" / "three_axis.yaml").read_text())
     before = load_servo_config(file)
-    assert tune(str(scene), out=tmp_path / "out", write=True) == 0
+    assert tune_scene(str(scene), out=tmp_path / "out", write=True) == 0
     printed = capsys.readouterr().out
     for words in ("margins, worst pose", "overshoot", "at rest", "written: "):
         assert words in printed, f"{words!r} is not in\\n{printed}"
@@ -210,4 +210,4 @@ def test_tune_refuses_a_joint_without_a_motor(tmp_path: Path) -> None:
     servo = (CONFIG / "servo" / "three_axis.yaml").read_text()
     (tmp_path / "servo" / scene.name).write_text(servo)
     with pytest.raises(Refusal, match=r"joints\.waist must have a motor to be tuned, got none"):
-        tune(str(scene))
+        tune_scene(str(scene))

@@ -117,9 +117,9 @@ def test_lost_doubled_and_damaged_datagrams_change_no_bit() -> None:
             if damaged[8:16] == np.int64(GREETING).tobytes():
                 continue  # it asks, and is answered
             refused += 1
-            assert server.answer(bytes(damaged)).startswith(REFUSED), damaged
+            assert server.answer_datagram(bytes(damaged)).startswith(REFUSED), damaged
         for _ in range(int(rng.integers(1, 4))):  # a reply was lost: the command comes again
-            reply = read(server, server.answer(sound))
+            reply = read(server, server.answer_datagram(sound))
             assert reply["tick"] == tick + 1
         np.testing.assert_array_equal(reply["encoder_counts"], plant.measured.encoder_counts)
         np.testing.assert_array_equal(reply["current"], plant.measured.current)
@@ -129,17 +129,20 @@ def test_lost_doubled_and_damaged_datagrams_change_no_bit() -> None:
 def test_power_reset_and_divergence_come_as_bits() -> None:
     server = UdpServer(lockstep(), port=0)
     kinds = server.datagrams
-    first = server.answer(datagram(kinds, GREETING))
+    first = server.answer_datagram(datagram(kinds, GREETING))
     assert read(server, first)["status"] == POWERED
-    off = read(server, server.answer(datagram(kinds, 0, 5.0, control=0)))
+    off = read(server, server.answer_datagram(datagram(kinds, 0, 5.0, control=0)))
     assert off["status"] == 0 and not off["applied"].any() and off["tick"] == 1
-    assert read(server, server.answer(datagram(kinds, 1, 5.0)))["applied"].tolist() == [5.0] * 3
-    again = read(server, server.answer(datagram(kinds, 0, 5.0, control=POWER | RESET)))
+    assert (
+        read(server, server.answer_datagram(datagram(kinds, 1, 5.0)))["applied"].tolist()
+        == [5.0] * 3
+    )
+    again = read(server, server.answer_datagram(datagram(kinds, 0, 5.0, control=POWER | RESET)))
     assert again.tobytes() == first, "a reset is the beginning"
     session = server._session
     session.set_state(["waist"], {"v": [1e5]})
     for tick in range(50):
-        status = read(server, server.answer(datagram(kinds, tick)))["status"]
+        status = read(server, server.answer_datagram(datagram(kinds, tick)))["status"]
         if status & STOPPED:
             break
     assert status == POWERED | STOPPED

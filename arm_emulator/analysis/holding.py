@@ -44,12 +44,14 @@ def find_overloads(scene: Scene) -> list[Overload]:
     """Return the joints that cannot hold the arm in every pose; the first pose is the start."""
     loads = LinkLoads(scene)
     at = np.array(draw_poses(scene, POSES))
-    takes = np.abs(np.array([loads.weight(q) + _compute_spring_torques(scene, q) for q in at]))
+    takes = np.abs(
+        np.array([loads.compute_weight(q) + _compute_spring_torques(scene, q) for q in at])
+    )
     overloaded = []
     for j, joint in enumerate(scene.joints):
         if joint.motor is None:
             continue
-        gives = largest_torque(joint, scene.supply_voltage)
+        gives = compute_largest_torque(joint, scene.supply_voltage)
         too_much = NEARLY * takes[:, j] > gives
         if too_much.any():
             worst = int(takes[:, j].argmax())
@@ -67,7 +69,7 @@ def find_overloads(scene: Scene) -> list[Overload]:
     return overloaded
 
 
-def largest_torque(joint: Joint, supply_voltage: float) -> float:
+def compute_largest_torque(joint: Joint, supply_voltage: float) -> float:
     """Return the largest torque that a joint's motor puts on its link at rest [N m or N]."""
     largest = joint.compute_largest_command(supply_voltage)
     torque = math.inf if largest is None else abs(joint.torque_per_command) * largest
@@ -116,19 +118,21 @@ class LinkLoads:
         coupling = scene.chain.coupling
         self._C, self._offset = coupling.C[:, scene.joint_places], coupling.offset
 
-    def mass_matrix(self, q: Array) -> Array:
+    def compute_mass_matrix(self, q: Array) -> Array:
         """Return M(q), (N, N)."""
         C = self._C
-        M = pin.crba(self._model, self._data, self._joints(q))
+        M = pin.crba(self._model, self._data, self._compute_joint_angles(q))
         M_reduced: Array = C.T @ (np.triu(M) + np.triu(M, 1).T) @ C
         return M_reduced
 
-    def weight(self, q: Array) -> Array:
+    def compute_weight(self, q: Array) -> Array:
         """Return the torques that hold the links at q, (N,) [N m or N]."""
-        gravity = pin.computeGeneralizedGravity(self._model, self._data, self._joints(q))
+        gravity = pin.computeGeneralizedGravity(
+            self._model, self._data, self._compute_joint_angles(q)
+        )
         torque: Array = self._C.T @ gravity
         return torque
 
-    def _joints(self, q: Array) -> Array:
+    def _compute_joint_angles(self, q: Array) -> Array:
         joints: Array = self._C @ q + self._offset
         return joints

@@ -61,12 +61,14 @@ class LinearServo:
         )
         n = len(STATES)
         rows = np.eye(n + len(INPUTS)).tolist()
-        matrix = np.array([_tick(numbers, loop, row[:n], row[n:]) for row in rows]).T
+        matrix = np.array([_advance_tick(numbers, loop, row[:n], row[n:]) for row in rows]).T
         self.A, self.B = matrix[:n, :n], matrix[:n, n:]
         self.C, self.D = matrix[n, :n], matrix[n, n:]
 
 
-def _tick(numbers: Rows, loop: Loop, states: list[float], inputs: list[float]) -> list[float]:
+def _advance_tick(
+    numbers: Rows, loop: Loop, states: list[float], inputs: list[float]
+) -> list[float]:
     law, state = servo_law(), SERVO.make_rows("servo_state", 1)
     state["known"] = 1
     for name, value in zip(STATES, states, strict=True):

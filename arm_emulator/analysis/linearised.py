@@ -141,13 +141,14 @@ def _eliminate_algebraic_states(of: Equations, places: Sequence[int]) -> LinearM
     inner, outer = of.by[np.ix_(follows, follows)], of.by[np.ix_(follows, columns)]
     W, w = -np.linalg.solve(inner, outer), -np.linalg.solve(inner, of.value[follows])
 
-    def rows(places: NDArray[np.int64]) -> tuple[Array, Array]:
+    def substitute_states(places: NDArray[np.int64]) -> tuple[Array, Array]:
         by = of.by[np.ix_(places, follows)]
         return of.by[np.ix_(places, columns)] + by @ W, of.value[places] + by @ w
 
     n = len(differential) + 2 * N
     of_drives, of_links, of_currents, of_angles = (
-        rows(places) for places in (differential, *(m + k * N + np.arange(N) for k in range(3)))
+        substitute_states(places)
+        for places in (differential, *(m + k * N + np.arange(N) for k in range(3)))
     )
     D = of.D[differential]
     of_q = np.eye(N, n + N, len(differential) + N), of.x[m + N :]

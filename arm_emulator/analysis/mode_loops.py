@@ -80,7 +80,7 @@ class LoopFigure:
         """Whether small motions decay, or fall."""
         return self.beyond <= HARMLESS
 
-    def explain(self) -> str:
+    def explain_instability(self) -> str:
         """Return the reason for its instability, as text."""
         pose = ", ".join(f"{q:.2f}" for q in self.q)
         brake = " with its brake closed" if self.braked else ""
@@ -128,9 +128,9 @@ class ModeLoops:
             for j, joint in enumerate(scene.joints)
             if joint.brake is not None
         }
-        self.figures = tuple(self._all())
+        self.figures = tuple(self._evaluate_all())
 
-    def _all(self) -> Iterator[LoopFigure]:
+    def _evaluate_all(self) -> Iterator[LoopFigure]:
         for loop in Loop:
             yield from self._evaluate_loop(0, loop, alike=True)
             for j in range(self._N):
@@ -199,7 +199,7 @@ class ModeLoops:
                 ]
                 if bad:
                     worst = max(bad, key=lambda unstable: unstable.beyond)
-                    withheld.append(Withheld(j, mode, worst.explain()))
+                    withheld.append(Withheld(j, mode, worst.explain_instability()))
         return withheld
 
 
@@ -218,7 +218,9 @@ _CACHE: dict[_Key, list[Withheld]] = {}
 _CACHE_SIZE = 64
 
 
-def withheld_modes(scene: Scene, servo: ServoConfig, modes: tuple[Mode, ...]) -> list[Withheld]:
+def list_withheld_modes(
+    scene: Scene, servo: ServoConfig, modes: tuple[Mode, ...]
+) -> list[Withheld]:
     """Return the modes that drives of this scene do not offer, with the reasons.
 
     Empty if a joint has no motor, or if small motions cannot be computed for numerical range.
@@ -238,7 +240,7 @@ def withheld_modes(scene: Scene, servo: ServoConfig, modes: tuple[Mode, ...]) ->
     return _CACHE[key]
 
 
-def withheld_words(scene: Scene, withheld: list[Withheld]) -> list[str]:
+def describe_withheld_modes(scene: Scene, withheld: list[Withheld]) -> list[str]:
     """Return the same as text, one line per joint and reason."""
     by_reason: dict[tuple[int, str], list[Mode]] = {}
     for lost in withheld:

@@ -148,7 +148,7 @@ class SampledLoop:
         w, S = self.compute_sensitivities()
         return [_compute_margins(w, response) for response in S.T]
 
-    def step(self, joint: int, rows: int, every: int = 1) -> Array:
+    def compute_step_response(self, joint: int, rows: int, every: int = 1) -> Array:
         """Return the response of the link positions to a joint's unit target.
 
         Args:

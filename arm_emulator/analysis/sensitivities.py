@@ -71,7 +71,7 @@ class SensitiveMachine:
     """
 
     def __init__(self, scene: Scene, by: Sequence[str]) -> None:
-        possible = numbers_of(scene)
+        possible = list_varied_numbers(scene)
         starts = [f"start.{which}.{joint}" for which in "qv" for joint in scene.joint_names]
         rule = "name numbers of the scene, or start.q.JOINT and start.v.JOINT"
         every = {name: name for name in (*possible, *starts)}
@@ -82,7 +82,7 @@ class SensitiveMachine:
         seeded = [*(number.name for number in self._varied), *starts]
         self._places = [seeded.index(name) for name in self.names]
 
-    def run(
+    def run_motion(
         self,
         commands: ArrayLike,
         steps: int | None = None,
@@ -129,7 +129,7 @@ class SensitiveMachine:
         of_names = np.split(seeds, np.cumsum([len(self._varied), N]), axis=1)
         slopes = np.empty((len(rows), len(QUANTITIES), N, parts * DIRECTIONS))
 
-        def follow(some: slice) -> Array:
+        def select_derivatives(some: slice) -> Array:
             quantities = np.empty(slopes.shape[:-1])
             names = ("parameter_seeds", "q_seeds", "v_seeds")
             of = {n: np.ascontiguousarray(o[some]) for n, o in zip(names, of_names, strict=True)}
@@ -148,7 +148,7 @@ class SensitiveMachine:
         threads = min(len(os.sched_getaffinity(0)), parts)
         ends = np.linspace(0, parts, threads + 1).astype(int).tolist()
         with ThreadPoolExecutor(threads) as pool:
-            at_ends, *_ = pool.map(follow, map(slice, ends, ends[1:]))
+            at_ends, *_ = pool.map(select_derivatives, map(slice, ends, ends[1:]))
         motion = {name: at_ends[:, k] for k, name in enumerate(QUANTITIES)}
         slopes = slopes[..., : len(places)]
         t = np.arange(1.0, len(rows) + 1.0) * (steps * dt)
@@ -191,10 +191,10 @@ def sensitivities(
     names = (by,) if isinstance(by, str) else by
     if not isinstance(names, Iterable):
         raise Refusal(WHERE, "by", "be names of numbers", by)
-    return SensitiveMachine(coerce_scene(scene, WHERE), names).run(commands, steps, q, v)
+    return SensitiveMachine(coerce_scene(scene, WHERE), names).run_motion(commands, steps, q, v)
 
 
-def numbers_of(scene: Scene) -> dict[str, Varied]:
+def list_varied_numbers(scene: Scene) -> dict[str, Varied]:
     """Return the numbers of a machine that its motion may depend on, by their names."""
     here = {
         number.name: number

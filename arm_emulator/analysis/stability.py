@@ -113,7 +113,7 @@ class SmallMotions:
         self.links = int(np.count_nonzero(~follows))  # where q begins
         own_places = slice(self.links, self.links + N)
 
-        def rates(F: Array, G: Array) -> Array:
+        def stack_rates(F: Array, G: Array) -> Array:
             expanded = expand_states(F)
             return np.vstack(
                 [
@@ -123,7 +123,7 @@ class SmallMotions:
                 ]
             )
 
-        all_states, jacobian = expand_states(F), rates(F, G)
+        all_states, jacobian = expand_states(F), stack_rates(F, G)
         jacobian, B = jacobian[:, :-N], jacobian[:, -N:]
         angles, measured = of_drives.motor_angle @ all_states, of_drives.current @ all_states
         by_command = np.diag(measured[:, -N:])
@@ -139,7 +139,7 @@ class SmallMotions:
         # Without torques of motors: a current acts on nothing but itself.
         no_currents = of_drives.no_currents
         alone = np.where(np.eye(n, n + 3 * N) > 0.0, F, F * no_currents)
-        free = rates(alone, G * no_currents)[:, :-N]
+        free = stack_rates(alone, G * no_currents)[:, :-N]
         free[-N:, own_places] += by_q
         self.falls = max(0.0, float(np.linalg.eigvals(free).real.max()))  # 1/s
         self.fastest = max(0.0, float(np.linalg.eigvals(self.J).real.max()))  # 1/s
@@ -163,13 +163,13 @@ class SmallMotions:
         J[braked_states], B[braked_states] = 0.0, 0.0
         return J, B
 
-    def step(self, scheme: str, dt: float) -> Array:
+    def compute_step_matrix(self, scheme: str, dt: float) -> Array:
         """Return the matrix of one step of a scheme: of x, and x one step ago if it takes that."""
         return KNOWN[scheme].build_step_matrix(self.J, self.A, self.links, dt)
 
     def compute_growth(self, scheme: str, dt: float) -> float:
         """Return the factor by which the fastest growing small motion grows per step."""
-        return float(np.abs(np.linalg.eigvals(self.step(scheme, dt))).max())
+        return float(np.abs(np.linalg.eigvals(self.compute_step_matrix(scheme, dt))).max())
 
     def is_stable(self, scheme: str, dt: float) -> bool:
         """Whether a scheme makes no motion grow that the machine itself does not make grow."""
@@ -217,7 +217,7 @@ def compute_rest(plant: Plant, q: Array) -> tuple[Array, Array]:
     return M_inverse, np.linalg.solve(M_inverse, -fall).astype(np.float64)
 
 
-def explain(fault: Exception) -> Exception:
+def explain_divergence(fault: Exception) -> Exception:
     """Add to a divergence why it came, before it is reported; return it."""
     if isinstance(fault, Diverged) and not fault.hint:
         fault.hint = describe_divergence(fault)

@@ -56,7 +56,7 @@ class TorqueTerms:
     def _plant(self) -> Plant:
         return Plant(self._scene)
 
-    def of(self, saved: bytes, command: Array) -> TermsNow:
+    def evaluate_torques(self, saved: bytes, command: Array) -> TermsNow:
         """Return the torques of a machine under commands that begin now.
 
         Args:

@@ -42,7 +42,7 @@ class BagComparison:
     about: dict[str, str]
 
 
-def compare(path: Path, scene_name: str | None = None) -> BagComparison:
+def compare_bag(path: Path, scene_name: str | None = None) -> BagComparison:
     """Drive the machine again with the commands of a bag, up to the first bit that differs.
 
     Args:
@@ -61,8 +61,8 @@ def compare(path: Path, scene_name: str | None = None) -> BagComparison:
     tally = repetition.tally
     difference: str | None = None
     try:
-        for name, message in topics.read(*COMPARED):
-            repetition.take(name, message)
+        for name, message in topics.read_messages(*COMPARED):
+            repetition.repeat_message(name, message)
     except Difference as deviation:
         difference = str(deviation)
     if not tally.runs:
@@ -82,7 +82,7 @@ def compare(path: Path, scene_name: str | None = None) -> BagComparison:
         difference=difference,
         hints=[]
         if difference is None
-        else [*topics.hints(scene), *_compare_builds(topics, session)],
+        else [*topics.list_hints(scene), *_compare_builds(topics, session)],
         about=bag.about,
     )
 

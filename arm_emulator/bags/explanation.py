@@ -60,7 +60,7 @@ def explain_moment(machine: RecordedMachine) -> Explanation:
     applied = None if following is None else following.applied[0]
     powered = session.powered if following is None else following.powered
     acts = np.zeros(len(scene.joints)) if applied is None else applied
-    terms = TorqueTerms(scene).of(session.plant.save(), acts)
+    terms = TorqueTerms(scene).evaluate_torques(session.plant.save(), acts)
     ends = following.published if following is not None else here.published + 1
     commanded, q_target, orders = _find_newest(machine.topics, scene, tick, here.published, ends)
     active = [

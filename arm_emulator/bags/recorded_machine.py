@@ -58,7 +58,7 @@ class RecordedMachine:
         self._apply_changes()
 
     @classmethod
-    def of(cls, path: Path, scene: Scene | str | None = None, run: int = -1) -> Self:
+    def open_run(cls, path: Path, scene: Scene | str | None = None, run: int = -1) -> Self:
         """Return the machine of a run of a bag; the scene is that which the bag names if None."""
         topics = RecordedTopics(Bag(path))
         loaded = scene if isinstance(scene, Scene) else load_scene(scene or topics.scene)

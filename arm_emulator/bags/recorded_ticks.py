@@ -112,7 +112,7 @@ class JointPlaces:
         self._names: list[str] = []
         self._places: list[int] = []
 
-    def find(self, names: list[str]) -> list[int]:
+    def find_places(self, names: list[str]) -> list[int]:
         """Return the places in a message with these names.
 
         Raises:
@@ -135,7 +135,7 @@ def arrange_state(
     Raises:
         Refusal: other joints, or readings of another number.
     """
-    order = places.find(state.joint_names)
+    order = places.find_places(state.joint_names)
     values: dict[str, Values] = {"powered": np.array([state.powered])}
     for name in _LISTS:
         if only is not None and name not in only:
@@ -158,7 +158,7 @@ def arrange_truth(truth: JointState, places: JointPlaces) -> dict[str, Values]:
     Raises:
         Refusal: other joints, or values of another number.
     """
-    order = places.find(truth.name)
+    order = places.find_places(truth.name)
     rows = {field: np.array(getattr(truth, field)) for field in TRUTH}
     for field, row in rows.items():
         check_length(places.where, field, row, len(order))

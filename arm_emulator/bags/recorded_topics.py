@@ -69,7 +69,7 @@ class RecordedTopics:
                 raise Refusal(where, f"definition of {topic.name}", rule, "other fields")
             self.names[name] = topic.name
 
-    def read(self, *requested: str) -> Iterator[tuple[str, Any]]:
+    def read_messages(self, *requested: str) -> Iterator[tuple[str, Any]]:
         """Yield name and message of some topics, in the order of publication.
 
         Raises:
@@ -79,9 +79,9 @@ class RecordedTopics:
             yield name, message
 
     def read_with_time(self, *requested: str) -> Iterator[tuple[str, Any, int]]:
-        """Yield as `read`, with the wall time of publication [ns]."""
+        """Yield as `read_messages`, with the wall time of publication [ns]."""
         for name, data, published in self._read_data(requested):
-            yield name, self._deserialize(name, data), published
+            yield name, self._deserialise_message(name, data), published
 
     def read_in_place(self, *requested: str) -> Iterator[tuple[str, Any, int]]:
         """Yield as `read_with_time`; a message is overwritten by the next one of its topic.
@@ -94,7 +94,7 @@ class RecordedTopics:
             if layout is not None and layout.take(data):
                 yield name, layout.message, published
                 continue
-            message = self._deserialize(name, data)
+            message = self._deserialise_message(name, data)
             if name in ALIKE:
                 layouts[name] = FixedLayout(message)
             yield name, message, published
@@ -104,7 +104,7 @@ class RecordedTopics:
         for record in self.bag.read_as_published(names):
             yield names[record.topic], record.data, record.published
 
-    def _deserialize(self, name: str, data: bytes) -> Any:
+    def _deserialise_message(self, name: str, data: bytes) -> Any:
         try:
             return deserialize_message(data, get_message_class(TYPES[name]))
         except RuntimeError as error:
@@ -116,7 +116,7 @@ class RecordedTopics:
         """Whether the emulator was paced by the clock."""
         return any(
             status.worst_lateness > 0.0 or status.overruns
-            for _, status in self.read("emulator/status")
+            for _, status in self.read_messages("emulator/status")
         )
 
     @property
@@ -130,7 +130,7 @@ class RecordedTopics:
         if own.is_file():
             return str(own)
         where, folder = str(self.bag.path), find_config_folder()
-        for _, array in self.read("diagnostics"):
+        for _, array in self.read_messages("diagnostics"):
             for status in array.status:
                 if status.name.split("/")[-1] == "emulator" and status.hardware_id:
                     name = status.hardware_id.split("/")[-1]  # after the namespace
@@ -138,7 +138,7 @@ class RecordedTopics:
                         return str(name)
                     actual = f"none, and {name} is not shipped"
                     raise Refusal(where, "--scene", "name the scene's file", actual)
-        _, state = next(self.read("motor_states"))
+        _, state = next(self.read_messages("motor_states"))
         fitting = [
             file.stem
             for file in sorted(folder.glob("*.yaml"))
@@ -152,7 +152,7 @@ class RecordedTopics:
     @property
     def build(self) -> dict[str, str]:
         """Facts of the emulator's build that it has reported, see `build_facts`."""
-        for _, array in self.read("diagnostics"):
+        for _, array in self.read_messages("diagnostics"):
             for status in array.status:
                 if status.name.split("/")[-1] == "emulator":
                     values = {pair.key: pair.value for pair in status.values}
@@ -174,9 +174,9 @@ class RecordedTopics:
             if not any(topic.endswith(f"/{name}") for topic in self.bag.topics):
                 yield f"{information}: the bag has no {name}"
 
-    def hints(self, scene: Scene) -> Iterator[str]:
+    def list_hints(self, scene: Scene) -> Iterator[str]:
         """Yield possible reasons for a difference, one sentence each."""
-        for _, description in self.read("robot_description"):
+        for _, description in self.read_messages("robot_description"):
             if description.data != scene.urdf:
                 yield f"the recorded robot_description is not that of scene {scene.name}"
             break

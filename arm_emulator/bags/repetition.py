@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 
-from arm_emulator.analysis.stability import explain
+from arm_emulator.analysis.stability import explain_divergence
 from arm_emulator.bags.recorded_ticks import (
     JointPlaces,
     Values,
@@ -106,7 +106,7 @@ class BagRepetition:
             "emulator/events": "tick, stamp, state",
         }
 
-    def take(self, name: str, message: Any) -> None:
+    def repeat_message(self, name: str, message: Any) -> None:
         """Repeat a message of a topic, by its name.
 
         Raises:
@@ -149,7 +149,7 @@ class BagRepetition:
         recorded = self._commands.get(session.tick)
         if tick == session.tick + 1 and recorded and self._lockstep:
             self.tally.lost += 1
-            self._advance(recorded[-1] if session.powered else np.zeros_like(recorded[-1]))
+            self._advance_session(recorded[-1] if session.powered else np.zeros_like(recorded[-1]))
 
     def _take_event(self, event: MachineEvent) -> None:
         session, number = self._session, int(event.number)
@@ -209,7 +209,7 @@ class BagRepetition:
         reported, now = self._reported.state, session.state
         for name in SET:
             quantity = f"{name} after {kind} by hand"
-            self._compare(quantity, getattr(reported, name), getattr(now, name))
+            self._compare_values(quantity, getattr(reported, name), getattr(now, name))
 
     def _set_varied(self) -> None:
         now = self._session.plant.parameters
@@ -219,7 +219,7 @@ class BagRepetition:
 
     def _take_state(self, state: MotorState) -> None:
         session, tick = self._session, int(state.tick)
-        self._places.find(state.joint_names)
+        self._places.find_places(state.joint_names)
         if tick < session.tick and self._is_in_run:
             self._end_run(state)
         begins = tick == 0 and not self._is_in_run
@@ -244,7 +244,7 @@ class BagRepetition:
             raise Refusal(self._where, "motor_states", rule, actual, "a bag without gaps")
         first = begins or tick == session.tick + 1
         if tick == session.tick + 1:
-            self._advance(self._check_applied(state, values))
+            self._advance_session(self._check_applied(state, values))
         self.tally.states += 1
         stamp = to_nanoseconds(state.header.stamp)
         if stamp != session.logical_ns:
@@ -257,10 +257,10 @@ class BagRepetition:
         for name in (*self._measured.in_all, *per_joint):
             if name == "applied" and not first:
                 continue  # a machine that diverges then, and is reported again, has others
-            self._compare(name, values[name], getattr(now, name))
+            self._compare_values(name, values[name], getattr(now, name))
         self._check_names("reading_names", state.reading_names, self._measured.listed)
         for name in self._measured.listed:
-            self._compare(name, values[name], getattr(now, name))
+            self._compare_values(name, values[name], getattr(now, name))
         for name in (*self._measured.absent, "imu_names"):
             if len(getattr(state, name)) and (name != "imu_names" or not session.scene.imus):
                 raise Difference(
@@ -272,7 +272,7 @@ class BagRepetition:
             self._check_names("imu_names", state.imu_names, units)
             owners = [unit for unit in units for _ in range(3)]
             for name in (output.name for output in self._measured.own if output.per_unit):
-                self._compare(name, values[name], getattr(now, name).ravel(), owners)
+                self._compare_values(name, values[name], getattr(now, name).ravel(), owners)
 
     def _end_run(self, state: MotorState) -> None:
         """Take a tick that goes back: without a reset it must be of another machine."""
@@ -345,16 +345,16 @@ class BagRepetition:
         for (field, row), computed in zip(
             values.items(), (now.q, now.v, now.gear_torque), strict=True
         ):
-            self._compare(field, row, computed)
+            self._compare_values(field, row, computed)
 
-    def _advance(self, command: NDArray[np.float64]) -> None:
+    def _advance_session(self, command: NDArray[np.float64]) -> None:
         self._session.advance_under(command, came=True)
         self.tally.periods += 1
         if self._session.fault is not None:
-            fault = explain(self._session.fault)
+            fault = explain_divergence(self._session.fault)
             raise Difference(f"run {self.tally.runs}, {fault}; the recorded run went on")
 
-    def _compare(
+    def _compare_values(
         self, quantity: str, recorded: Values, computed: Values, owners: Sequence[str] | None = None
     ) -> None:
         """Raise the first difference; the owners are the joints if None."""

@@ -65,11 +65,11 @@ class RunBag:
         session = self._session
         facts = [KeyValue(key=key, value=fact) for key, fact in build_facts(session.plant).items()]
         health = DiagnosticStatus(name="emulator", hardware_id=session.scene.name, values=facts)
-        self._send("diagnostics", status=[health])
-        self._send("emulator/status", tick=0)
+        self._write_message("diagnostics", status=[health])
+        self._write_message("emulator/status", tick=0)
         if session.plant.save() != Plant(session.scene).save():
             self.write_change(MachineEvent.KIND_RESTORE)
-        self.report()
+        self.write_state()
         return self
 
     def __exit__(
@@ -87,11 +87,11 @@ class RunBag:
             where = f"folder {self._writer.folder}"
             raise Refusal("record", where, "accept every message", reason) from None
 
-    def report(self) -> None:
+    def write_state(self) -> None:
         """Write the machine at a new tick, before it is changed there."""
         session = self._session
         state = session.state
-        self._send(
+        self._write_message(
             "motor_states",
             tick=session.tick,
             powered=session.powered,
@@ -99,7 +99,7 @@ class RunBag:
             joint_names=self._names,
             imu_names=self._imus,
         )
-        self._send(
+        self._write_message(
             "emulator/joint_states",
             name=self._names,
             position=state.q.tolist(),
@@ -119,7 +119,7 @@ class RunBag:
         if saved is not None:
             plant = Plant(self._session.scene)
             plant.restore(saved)
-        self._send(
+        self._write_message(
             "emulator/events",
             tick=self._session.tick,
             number=self._events,
@@ -129,7 +129,7 @@ class RunBag:
             state=array("B", plant.save()),
         )
 
-    def _send(self, topic: str, **values: Any) -> None:
+    def _write_message(self, topic: str, **values: Any) -> None:
         self._clock += 1000  # answers come after their questions
         session = self._session
         message = get_message_class(TYPES[topic])(

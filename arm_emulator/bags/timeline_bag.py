@@ -57,11 +57,11 @@ def write_timeline(line: Timeline[OfflineRun], folder: Path, parent: Path | None
     bag = RunBag(folder, line.run.session, about)
     line.go_to(0)
     with bag:
-        _write(line, bag)
+        _write_ticks(line, bag)
     line.go_to(here)
 
 
-def _write(line: Timeline[OfflineRun], bag: RunBag) -> None:
+def _write_ticks(line: Timeline[OfflineRun], bag: RunBag) -> None:
     """Write all ticks of a timeline, and what was changed by hand."""
     session = line.run.session
     changed: dict[int, list[TimelineChange]] = {}
@@ -69,7 +69,7 @@ def _write(line: Timeline[OfflineRun], bag: RunBag) -> None:
         changed.setdefault(by_hand.tick, []).append(by_hand)
     for tick in range(1, line.newest + 1):
         line.run.advance(1)  # not by the timeline: the state before changes is reported
-        bag.report()
+        bag.write_state()
         if isinstance(line.run, TargetedRun) and tick < line.newest:
             for kind, saved in line.run.changes_here:
                 bag.write_change(kind, saved)

@@ -72,7 +72,7 @@ def run_with(command: Command, words: Sequence[str]) -> int:
     return int(function(*bound.args, **bound.kwargs))
 
 
-def page_of(command: Command) -> str:
+def write_page(command: Command) -> str:
     """Return the help page of a command."""
     page = io.StringIO()
     _build_app([command]).help_print(
@@ -81,7 +81,7 @@ def page_of(command: Command) -> str:
     return "\n".join(line.rstrip() for line in page.getvalue().strip().splitlines())
 
 
-def completion_script(shell: Literal["bash", "zsh", "fish"]) -> str:
+def write_completion_script(shell: Literal["bash", "zsh", "fish"]) -> str:
     """Return the script that completes the commands and their options in a shell.
 
     Commands whose packages are not installed are left out.
@@ -115,9 +115,9 @@ def _add_json_option(function: Callable[..., int]) -> Callable[..., int]:
     json = inspect.Parameter("json", kind, default=False, annotation=Json)
 
     @functools.wraps(function)
-    def run(*positional: object, **named: object) -> int:
+    def run_command(*positional: object, **named: object) -> int:
         return function(*positional, **named)
 
-    run.__signature__ = plain.replace(parameters=[*plain.parameters.values(), json])  # type: ignore[attr-defined]
-    run.__annotations__ = {**function.__annotations__, "json": Json}
-    return run
+    run_command.__signature__ = plain.replace(parameters=[*plain.parameters.values(), json])  # type: ignore[attr-defined]
+    run_command.__annotations__ = {**function.__annotations__, "json": Json}
+    return run_command

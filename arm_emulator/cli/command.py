@@ -45,12 +45,12 @@ _registered: dict[str, Command] = {}
 def command(*, keys: str, until_stopped: bool = False) -> Callable[[Function], Function]:
     """Register a function as the command named after its module; arguments as of `Command`."""
 
-    def register(function: Function) -> Function:
+    def register_function(function: Function) -> Function:
         name = function.__module__.rpartition(".")[2].replace("_", "-")
         _registered[name] = Command(name, function, until_stopped, keys)
         return function
 
-    return register
+    return register_function
 
 
 def command_groups() -> dict[str, tuple[str, ...]]:
@@ -67,7 +67,7 @@ def command_names() -> list[str]:
     return sorted(name for group in command_groups().values() for name in group)
 
 
-def summary_of(name: str) -> str:
+def read_summary(name: str) -> str:
     """Return the first line of a command's module, which is not imported."""
     module = importlib.util.find_spec(_find_module(name) or "")
     assert module is not None and module.origin is not None, name

@@ -18,7 +18,7 @@ from arm_emulator.cli.command import (
     command_groups,
     command_names,
     load_command,
-    summary_of,
+    read_summary,
 )
 from arm_emulator.cli.output import output
 from arm_emulator.ros.process.ctrl_c import CtrlC, end_at_once, get_exit_code
@@ -49,7 +49,7 @@ def main() -> None:
     if command is None:
         sys.exit(_run_printed(partial(_answer_without_command, words), as_json))
     with CtrlC(code):
-        sys.exit(_run_printed(partial(_run, command, words[1:]), as_json))
+        sys.exit(_run_printed(partial(_run_command, command, words[1:]), as_json))
     sys.exit(get_exit_code(CtrlC.signal, code))
 
 
@@ -57,7 +57,7 @@ def _run_printed(work: Callable[[], int], as_json: bool) -> int:
     """Do work and return its exit code; end as by SIGPIPE if the reader of our output has."""
     try:
         check_stdout()
-        with output.printed(as_json=as_json):
+        with output.print_at_end(as_json=as_json):
             code = work()
         sys.stdout.flush()
         return code
@@ -77,13 +77,13 @@ def _run_printed(work: Callable[[], int], as_json: bool) -> int:
         return _print_refusal(Refusal("arm_emulator", target, "accept all that is written", actual))
 
 
-def _run(command: Command, words: Sequence[str]) -> int:
-    from arm_emulator.cli.arguments import BadArguments, page_of, run_with
+def _run_command(command: Command, words: Sequence[str]) -> int:
+    from arm_emulator.cli.arguments import BadArguments, run_with, write_page
 
     if set(HELP) & set(words):
-        page = page_of(command)
-        output.line(page)
-        output.facts({"help": page})
+        page = write_page(command)
+        output.print_line(page)
+        output.add_facts({"help": page})
         return 0
     try:
         return run_with(command, words)
@@ -110,7 +110,7 @@ def _print_refusal(reason: Refusal | str) -> int:
         print(reason, file=sys.stderr, flush=True)
     except OSError:
         drop_descriptor(2)
-    output.facts({"refused": str(reason)})
+    output.add_facts({"refused": str(reason)})
     return 2
 
 
@@ -136,13 +136,13 @@ def _refuse_missing_module(where: str, missing: ModuleNotFoundError) -> Refusal:
 def _answer_without_command(words: Sequence[str]) -> int:
     """Print help or the version, or refuse a command that does not exist."""
     if not words or words[0] in HELP:
-        output.line(_render_overview())
-        output.facts({"commands": {name: summary_of(name) for name in command_names()}})
+        output.print_line(_render_overview())
+        output.add_facts({"commands": {name: read_summary(name) for name in command_names()}})
     elif words[0] == "--version":
         from arm_emulator.version import VERSION
 
-        output.line(f"arm_emulator {VERSION}")
-        output.facts({"version": VERSION})
+        output.print_line(f"arm_emulator {VERSION}")
+        output.add_facts({"version": VERSION})
     elif (package := find_package_of_command(words[0])) is not None:
         return _print_refusal(refuse_missing_package(words[0], package))
     else:
@@ -158,7 +158,7 @@ def _answer_without_command(words: Sequence[str]) -> int:
 
 def _render_overview() -> str:
     groups = "\n\n".join(
-        "\n".join([f"{group}:", *(f"  {name:<14} {summary_of(name)}" for name in names)])
+        "\n".join([f"{group}:", *(f"  {name:<14} {read_summary(name)}" for name in names)])
         for group, names in command_groups().items()
     )
     return f"""\

@@ -7,19 +7,19 @@ from arm_emulator.ros.process.ctrl_c import end_at_once
 
 def emulator() -> None:
     """Run the node `emulator`."""
-    _run("emulator_node.node")
+    _run_module("emulator_node.node")
 
 
 def servo() -> None:
     """Run the node `servo`."""
-    _run("servo_node.node")
+    _run_module("servo_node.node")
 
 
 def motion_controller() -> None:
     """Run the node `motion_controller`."""
-    _run("motion_controller_node.node")
+    _run_module("motion_controller_node.node")
 
 
-def _run(module: str) -> None:
+def _run_module(module: str) -> None:
     end_at_once(0)
     importlib.import_module(module).main()

@@ -34,7 +34,7 @@ class CommandOutput:
         self._stdout = -1
 
     @contextlib.contextmanager
-    def printed(self, *, as_json: bool) -> Iterator[None]:
+    def print_at_end(self, *, as_json: bool) -> Iterator[None]:
         """Within, a command runs; its object is printed however it ends."""
         self.as_json, self.collected = as_json, {}
         warning.issued.clear()
@@ -46,14 +46,14 @@ class CommandOutput:
         try:
             yield
         finally:
-            self.end()
+            self.print_object()
 
-    def line(self, text: str) -> None:
+    def print_line(self, text: str) -> None:
         """Print a line, unless as JSON."""
         if not self.as_json:
             print(text, flush=True)
 
-    def console(self, min_width: int | None = None) -> Console:
+    def make_console(self, min_width: int | None = None) -> Console:
         """Return the console for tables and other text without markup."""
         from rich.console import Console
 
@@ -62,7 +62,7 @@ class CommandOutput:
             width=width, highlight=False, soft_wrap=min_width is None, quiet=self.as_json
         )
 
-    def table(
+    def print_table(
         self, heads: Sequence[str], rows: Iterable[Sequence[str]], *, title: str = "", left: int = 1
     ) -> None:
         """Print rows of cells below their heads; the first columns stand left, numbers right."""
@@ -74,20 +74,20 @@ class CommandOutput:
             table.add_column(Text(head), justify="left" if k < left else "right", no_wrap=True)
         for row in rows:
             table.add_row(*map(Text, row))
-        self.console(WIDEST).print(table)
+        self.make_console(WIDEST).print(table)
 
-    def facts(self, facts: Mapping[str, object]) -> None:
+    def add_facts(self, facts: Mapping[str, object]) -> None:
         """Add values to the object."""
         self.collected.update(facts)
 
-    def judge(self, command: str, missed: str) -> int:
+    def report_miss(self, command: str, missed: str) -> int:
         """Report why a command has missed its goal, or nothing if empty; return the exit code."""
-        self.facts({"missed": missed or None})
+        self.add_facts({"missed": missed or None})
         if missed:
             print(f"arm_emulator: {command}: goal not reached: {missed}", file=sys.stderr)
         return 1 if missed else 0
 
-    def end(self) -> None:
+    def print_object(self) -> None:
         """Print the object, once."""
         if not self.as_json:
             return
@@ -100,28 +100,29 @@ class CommandOutput:
             os.close(self._stdout)
             self._stdout = -1
         facts = {**self.collected, "warnings": warning.issued}
-        print(json.dumps(plain(facts), indent=2), flush=True)
+        print(json.dumps(convert_to_plain(facts), indent=2), flush=True)
 
 
 output = CommandOutput()  # of this process
 
 
-def plain(value: Any) -> Any:
+def convert_to_plain(value: Any) -> Any:
     """Return a value as JSON: without NumPy, and null for numbers that are not finite."""
     import dataclasses
 
     if isinstance(value, Mapping):
-        return {str(key): plain(element) for key, element in value.items()}
+        return {str(key): convert_to_plain(element) for key, element in value.items()}
     if dataclasses.is_dataclass(value):
         return {
-            field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)
+            field.name: convert_to_plain(getattr(value, field.name))
+            for field in dataclasses.fields(value)
         }
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, str | bool | int):
         return value
     if hasattr(value, "tolist"):
-        return plain(value.tolist())
+        return convert_to_plain(value.tolist())
     if isinstance(value, Sequence | set | frozenset):
-        return [plain(element) for element in value]
+        return [convert_to_plain(element) for element in value]
     return str(value)

@@ -16,7 +16,7 @@ from arm_emulator.toolchain.flags import ARITHMETIC
 
 
 @contextlib.contextmanager
-def ctrl_c_ends_at_once() -> Iterator[None]:
+def end_at_ctrl_c() -> Iterator[None]:
     """In this block Ctrl-C needs no Python: hanging control code ends, and gdb gets it."""
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
@@ -25,7 +25,7 @@ def ctrl_c_ends_at_once() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def ticks_of(seconds: float, scene: Scene) -> int:
+def count_ticks(seconds: float, scene: Scene) -> int:
     """Return a time as a number of servo periods.
 
     Raises:
@@ -40,7 +40,7 @@ def ticks_of(seconds: float, scene: Scene) -> int:
     return round(seconds / period)
 
 
-def report(
+def report_run(
     session: Session,
     ticks: int,
     wall: float,
@@ -55,15 +55,15 @@ def report(
         off: target minus tool, in the world (3,) [m]; None: no target.
     """
     scene, logical, energy = session.scene, session.logical_ns / 1e9, session.plant.energy
-    output.line(f"scene {scene.name}: {logical:g} s of logical time in {wall:.2f} s")
-    output.line(
+    output.print_line(f"scene {scene.name}: {logical:g} s of logical time in {wall:.2f} s")
+    output.print_line(
         f"real-time factor  {logical / wall:.1f}   ({wall / ticks * 1e6:.1f} us per servo period)"
     )
     if off is not None:
         x, y, z = off * 1e3
-        output.line(f"tool off by       x {x:+.4f}  y {y:+.4f}  z {z:+.4f} mm")
-    output.line(f"energy            {energy:.6g} J")
-    output.facts(
+        output.print_line(f"tool off by       x {x:+.4f}  y {y:+.4f}  z {z:+.4f} mm")
+    output.print_line(f"energy            {energy:.6g} J")
+    output.add_facts(
         {
             "scene": scene.name,
             "arithmetic": ARITHMETIC,

@@ -15,7 +15,7 @@ from arm_emulator.runs.recorder import Recorder
 
 
 @contextmanager
-def served_session(
+def serve_session(
     scene: Scene, clock: str, outputs: RunOutputs, page: str | None
 ) -> Iterator[Session]:
     """Context in which a session that waits for its first answer is recorded and watched.
@@ -50,16 +50,16 @@ def serve_clients(
     Args:
         door: name of the command.
         scene: of the machine.
-        clock: see `served_session`.
+        clock: see `serve_session`.
         outputs: records of it.
         page: address of its page in the browser, if any.
         server_of: makes the server of a session, with `address` and `serve`.
         facts: further ones to report.
     """
-    with served_session(scene, clock, outputs, page) as session:
+    with serve_session(scene, clock, outputs, page) as session:
         server = server_of(session)
         address = server.address
-        output.facts({"scene": scene.name, "address": address, "clock": clock, **facts})
+        output.add_facts({"scene": scene.name, "address": address, "clock": clock, **facts})
         at = "{}:{}".format(*address) if isinstance(address, tuple) else address
         print(f"{door}: scene {scene.name}, {at}, clock {clock}", flush=True)
         server.serve()

@@ -35,7 +35,7 @@ class DemoPlan:
     motion: NDArray[np.float64] | None = None  # m (3,), of the tool in the world
 
     @classmethod
-    def load(cls, scene: Path, period_ns: int) -> Self:
+    def load_plan(cls, scene: Path, period_ns: int) -> Self:
         """Read the plan that belongs to a scene file, for a motion period.
 
         Raises:

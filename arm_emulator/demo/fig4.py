@@ -36,12 +36,12 @@ def draw_fig4(
     Raises:
         Refusal: a wrong shape, no rows, or numbers that are not finite.
     """
-    figure = fig4(deviations, title=title)
+    figure = draw_figure(deviations, title=title)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=150)
 
 
-def fig4(deviations: ArrayLike, *, title: str) -> Figure:
+def draw_figure(deviations: ArrayLike, *, title: str) -> Figure:
     """Return the figure that `draw_fig4` writes, with the same arguments.
 
     Above, the deviation as the paper shows it; below, its magnitude on a logarithmic scale.

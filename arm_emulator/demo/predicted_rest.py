@@ -32,7 +32,7 @@ class PredictedRest:
     missed: str
     """Why motion control has not reached the target; empty if it has."""
 
-    def missed_by(self, deviations: Array, exact: bool) -> str:
+    def describe_miss(self, deviations: Array, exact: bool) -> str:
         """Return as text why a network misses target or prediction; empty if it meets both.
 
         Args:

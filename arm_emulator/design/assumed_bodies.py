@@ -68,7 +68,7 @@ def assume_bodies(
             if stated > 0.0:
                 scale, how = stated / body.mass, f"{how}, with the mass given"
             link.remove(old)
-        link.insert(0, inertial_of(body.scale_mass(scale)))
+        link.insert(0, make_inertial(body.scale_mass(scale)))
         out.append(AssumedBody(name, how))
     return out
 
@@ -189,7 +189,7 @@ def _read_points(mesh: ET.Element, folder: Path) -> Array:
     return vertices
 
 
-def inertial_of(body: Body, digits: int = 6) -> ET.Element:
+def make_inertial(body: Body, digits: int = 6) -> ET.Element:
     """Return the element <inertial> of a body given about its link's origin."""
     com = body.moment / body.mass
     offset = float(com @ com) * np.eye(3) - np.outer(com, com)

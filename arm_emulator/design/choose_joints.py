@@ -65,7 +65,7 @@ class _Tree:
         self.followers = _read_followers(robot, where)
         follows = _find_followed(robot, self.followers)
         self.joints = [
-            _read(element, follows.get(element.get("name", ""), ()), where)
+            _read_joint(element, follows.get(element.get("name", ""), ()), where)
             for element in robot.findall("joint")
         ]
         self.above = {joint.child: joint for joint in self.joints}
@@ -76,7 +76,7 @@ class _Tree:
             rule = "be the child of one joint, as in a tree"
             raise Refusal(where, "each link", rule, "one of several")
 
-    def path(self, link: str) -> list[_Joint]:
+    def find_path(self, link: str) -> list[_Joint]:
         """Return the joints from the base to a link."""
         path: list[_Joint] = []
         while link in self.above:
@@ -114,7 +114,7 @@ class _Tree:
         while body in self.above and self.above[body].kind == "fixed":
             body = self.above[body].parent
         beside = [begun for link in self.find_fixed(body) for begun in self.below.get(link, [])]
-        path = {moved.name for moved in self.path(body)}
+        path = {moved.name for moved in self.find_path(body)}
         return sum(begun.kind in MOVING and not path & {*begun.follows} for begun in beside)
 
 
@@ -149,10 +149,10 @@ def choose_joints(
     guesses: list[str] = []
     if joints is not None:
         chosen = _find_named(limbs, joints, tool)
-        rows = [limbs.path(joint.child) for joint in chosen] or [[]]
-        path = max(rows, key=len) if tool is None else limbs.path(_find_tip(limbs, tool))
+        rows = [limbs.find_path(joint.child) for joint in chosen] or [[]]
+        path = max(rows, key=len) if tool is None else limbs.find_path(_find_tip(limbs, tool))
     else:
-        path = limbs.path(_find_tip(limbs, tool))
+        path = limbs.find_path(_find_tip(limbs, tool))
         chosen = [joint for joint in path if joint.can_move]
         if tool is None:
             chosen = _remove_gripper(limbs, chosen, [] if tree else guesses)
@@ -213,7 +213,7 @@ def _find_followed(
     } | _find_lost(robot)
 
 
-def _read(element: ET.Element, follows: tuple[str, ...], where: str) -> _Joint:
+def _read_joint(element: ET.Element, follows: tuple[str, ...], where: str) -> _Joint:
     kind = element.get("type", "")
     if kind not in KINDS:
         rule = "be supported"
@@ -257,7 +257,7 @@ def _find_tip(tree: _Tree, tool: str | None) -> str:
     tips = [link for link in tree.links if link not in tree.below]
     if not tips:
         raise Refusal(tree.where, "the robot", "have a link at which it ends", "none")
-    return max(tips, key=lambda link: sum(joint.can_move for joint in tree.path(link)))
+    return max(tips, key=lambda link: sum(joint.can_move for joint in tree.find_path(link)))
 
 
 def _find_along(path: Sequence[_Joint], chosen: Sequence[_Joint]) -> list[_Joint]:

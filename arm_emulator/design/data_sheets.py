@@ -67,7 +67,7 @@ class JointSheet:
     data: JointData | None = None  # its parts, where they are known, too
 
     @classmethod
-    def of(cls, data: JointData) -> Self:
+    def load_sheet(cls, data: JointData) -> Self:
         """Return the figures of a joint with a data file."""
         return cls(data.torque, data.speed, f"config/joints/{data.name}.yaml", data=data)
 

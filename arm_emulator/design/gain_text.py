@@ -39,19 +39,19 @@ def write_gains(file: Path, servo: ServoConfig) -> None:
 def _replace_gains(text: str, servo: ServoConfig) -> str:
     nodes = read_nodes(text)
 
-    def ending(path: str) -> tuple[yaml.Node, yaml.Node] | None:
+    def find_nodes(path: str) -> tuple[yaml.Node, yaml.Node] | None:
         return next((pair for name, pair in nodes.items() if name.endswith(f".{path}")), None)
 
     edits: list[tuple[int, int, str]] = []
     for joint in servo.joints:
         for key in (*GAINS, RIGID):
-            nodes_at = ending(f"joints.{joint.name}.{key}")
+            nodes_at = find_nodes(f"joints.{joint.name}.{key}")
             value = repr(float(getattr(joint, key)))
             if nodes_at is not None:
                 _, node = nodes_at
                 edits.append((node.start_mark.index, node.end_mark.index, value))
             elif key == RIGID and joint.link_inertia:
-                nodes_at = ending(f"joints.{joint.name}.{GAINS[-1]}")
+                nodes_at = find_nodes(f"joints.{joint.name}.{GAINS[-1]}")
                 if nodes_at is not None:  # a line of its own behind the last gain's
                     name, node = nodes_at
                     line_end = text.find("\n", node.end_mark.index)

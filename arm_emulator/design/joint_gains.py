@@ -96,7 +96,7 @@ class ServoGains:
 
 
 @functools.lru_cache(maxsize=256)
-def design(
+def compute_gains(
     motor: MotorData,
     gear: GearData,
     link_inertia: tuple[float, float],
@@ -126,20 +126,20 @@ def design(
     """
     stall = supply_voltage / motor.resistance if motor.resistance else math.inf
     kick = KICK * min(current_limit, stall)
-    gains = _search(motor, gear, link_inertia, period, viscous, kick)
+    gains = _search_gains(motor, gear, link_inertia, period, viscous, kick)
     if gains is not None:
         return gains
     valid, shorter = "another motor", period
     for _ in range(_HALVINGS):
         shorter /= 2.0
-        if _search(motor, gear, link_inertia, shorter, viscous, kick) is not None:
+        if _search_gains(motor, gear, link_inertia, shorter, viscous, kick) is not None:
             valid = f"{shorter:.3g} s"
             break
     rule = "be short enough for motor and gear"
     raise Refusal("servo design", "the servo period", rule, f"{period:g} s", valid)
 
 
-def _search(
+def _search_gains(
     motor: MotorData,
     gear: GearData,
     link_inertia: tuple[float, float],
@@ -152,7 +152,7 @@ def _search(
     mean = math.sqrt(smallest * largest)
     with_rotor = mean if gear.stiffness is None else 0.0
     plants = [
-        model_joint(motor, gear, inertia, viscous, period)
+        make_joint_model(motor, gear, inertia, viscous, period)
         for inertia in sorted({smallest, mean, largest})
     ]
     swing = 0.0 if gear.stiffness is None else 2.0 * math.pi * math.sqrt(largest / gear.stiffness)
@@ -164,7 +164,7 @@ def _search(
                 position_gain = share * velocity_gain / (3.0 * (rotor + largest))
                 if position_gain * period > 0.5 or bandwidth < _OBSERVED * step:
                     continue
-                trial.run(
+                trial.try_gains(
                     ServoGains(
                         round_figure(position_gain),
                         round_figure(velocity_gain),
@@ -208,7 +208,7 @@ class _Trial:
         self.outcomes: list[_Outcome] = []
         self.fastest = math.inf  # s, of those that hold everything
 
-    def run(self, gains: ServoGains) -> None:
+    def try_gains(self, gains: ServoGains) -> None:
         """Take note of gains, unless they do not hold, never settle or are slower than others."""
         try:
             servo = LinearServo(make_joint_servo(self.motor, self.gear, gains), self.period)
@@ -224,7 +224,7 @@ class _Trial:
                 loop = SampledLoop(plant, [servo], delay)
                 if not loop.is_stable:
                     return
-                rows = loop.step(0, _ROWS, every)[:, 0]
+                rows = loop.compute_step_response(0, _ROWS, every)[:, 0]
                 off = np.flatnonzero(np.abs(rows - 1.0) > 0.02)
                 settling = max(settling, float(off[-1] + 1) * every * self.period)
                 if off[-1] == _ROWS - 1 or settling > (1.0 + NEARLY) * self.fastest:
@@ -276,7 +276,7 @@ def make_joint_servo(
     )
 
 
-def model_joint(
+def make_joint_model(
     motor: MotorData, gear: GearData, link_inertia: float, viscous: float, period: float
 ) -> SampledPlant:
     """Return one joint: motor, gear and a link that nothing else moves."""

@@ -22,7 +22,7 @@ def find_mesh(name: str, folder: Path) -> Path | None:
     elif url.scheme in ("package", "model"):
         inside = unquote(url.netloc + url.path)
         package, _, rest = inside.partition("/")
-        around = source_packages(folder).get(package)
+        around = find_source_packages(folder).get(package)
         above = [folder.resolve(), *folder.resolve().parents]
         places = [] if around is None else [around / rest]
         places += [place / inside for place in above]
@@ -64,7 +64,7 @@ _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 _NAME = re.compile(r"<name>\s*([A-Za-z0-9_.-]+)\s*</name>")
 
 
-def source_packages(folder: Path) -> dict[str, Path]:
+def find_source_packages(folder: Path) -> dict[str, Path]:
     """Return the packages around a folder, by name: those above it, and next to these.
 
     Of two with the same name the nearer counts.

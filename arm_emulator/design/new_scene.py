@@ -36,9 +36,9 @@ from arm_emulator.design.scene_text import (
     write_scene_text,
     write_servo_text,
 )
-from arm_emulator.design.sizing import Demand, Sized, choose_full_speed, size
-from arm_emulator.design.survey import Survey, survey
-from arm_emulator.design.tuned import make_data_sheet, tuned_servo
+from arm_emulator.design.sizing import Demand, Sized, choose_full_speed, size_drives
+from arm_emulator.design.survey import Survey, inspect_arm
+from arm_emulator.design.tuned import make_data_sheet, tune_servo
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.scene.known_parts import SIZED_MOTORS
@@ -131,7 +131,7 @@ def write_new(
     description = parse_urdf(text, robot.name)
     choice = choose_joints(description, robot.name, tool, joints, tree=tree)
     sheets = {
-        joint: JointSheet.of(data)
+        joint: JointSheet.load_sheet(data)
         for joint, data in choose_joint_data(joint_data, choice.joints).items()
     }
     if motor is not None and sheets.keys() >= set(choice.joints):
@@ -143,7 +143,7 @@ def write_new(
         raise Refusal("new", "--trust-inertias", "stand without --replace-inertias", "both")
     doubtful = _list_doubtful(description, robot, choice, assumed)
     if replace_inertias and doubtful:
-        assumed += _replace(description, robot, choice, density, doubtful)
+        assumed += _replace_inertias(description, robot, choice, density, doubtful)
         doubtful = _list_doubtful(description, robot, choice, assumed)
     if not trust_inertias:
         check_inertias(doubtful, robot.name)
@@ -165,11 +165,11 @@ def write_new(
     )
     with tempfile.TemporaryDirectory() as trial:
         scene_file = Path(trial) / f"{name}.yaml"
-        _write(Path(trial), {place.format(name): content for place, content in texts.items()})
+        _write_files(Path(trial), {place.format(name): content for place, content in texts.items()})
         scene = load_scene(scene_file)
-        servo = tuned_servo(scene_file, _make_servo(scene, drives))
+        servo = tune_servo(scene_file, _make_servo(scene, drives))
     texts[PLACES[1]] = write_servo_text(servo, SERVO_HEADING.format(name=name))
-    _write(folder, {place.format(name): content for place, content in texts.items()})
+    _write_files(folder, {place.format(name): content for place, content in texts.items()})
     return NewScene(file, choice, drives, find_overloads(scene), assumed, tools)
 
 
@@ -198,7 +198,7 @@ def _list_doubtful(
     return list_doubtful_inertias(description, robot.name, robot.parent, chain, trusted)
 
 
-def _replace(
+def _replace_inertias(
     description: ET.Element, robot: Path, choice: JointChoice, density: float, doubtful: list[Doubt]
 ) -> list[AssumedBody]:
     """Give links with doubtful inertias those of their shapes; return these links.
@@ -229,7 +229,7 @@ def _find_moved(description: ET.Element, robot: Path, choice: JointChoice) -> li
     return collect_moved_bodies(description, robot.name, "new", locked=locked, tool=choice.tool)
 
 
-def _write(folder: Path, contents: Mapping[str, str]) -> None:
+def _write_files(folder: Path, contents: Mapping[str, str]) -> None:
     """Write files below a folder."""
     try:
         for place, content in contents.items():
@@ -289,10 +289,10 @@ def _make_texts(
     links = _load_links(ET.tostring(description, encoding="unicode"), robot.name, choice)
     kinematics = Kinematics(links.urdf, links.joint_names, links.tool)
     shapes = _read_own_shapes(links.urdf, links.joint_names)
-    bare = survey(links, kinematics, shapes)
+    bare = inspect_arm(links, kinematics, shapes)
     surveyed = bare
     if payload:
-        surveyed = survey(_load_links(text, robot.name, choice, payload), kinematics)
+        surveyed = inspect_arm(_load_links(text, robot.name, choice, payload), kinematics)
     limits = read_limits(description)
     count = len(links.joints)
     of_arm = find_published(description.get("name", ""), count) or (None,) * count
@@ -310,11 +310,11 @@ def _make_texts(
     }
     tools = list_rated_tools(links.chain, choice.tool, speeds, payload)
     loaded = add_tools(parse_urdf(text, robot.name), tools)
-    rated = survey(
+    rated = inspect_arm(
         _load_links(ET.tostring(loaded, encoding="unicode"), robot.name, choice), kinematics
     )
     demands = _collect_demands(limits, sheets, links, kinematics, (bare, surveyed, rated))
-    supply, drives = size(demands, kind)
+    supply, drives = size_drives(demands, kind)
     motion = {
         "tool": choice.tool,
         "period": MOTION_PERIOD,

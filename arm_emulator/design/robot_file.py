@@ -17,7 +17,7 @@ from arm_emulator.base.io.text_file import explain_missing_file
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf.urdf_text import MAX_BYTES, read_urdf
 from arm_emulator.design import expand_xacro
-from arm_emulator.design.mesh_file import source_packages
+from arm_emulator.design.mesh_file import find_source_packages
 from arm_emulator.design.sizing import Sized
 
 _XACRO = re.compile(r"<xacro:|\$\{|\$\(")  # as no URDF has it, whatever the file's name is
@@ -54,7 +54,7 @@ def _expand_source(file: Path, arguments: Mapping[str, str]) -> str:
         valid = "pip install xacro, or give the output of `xacro FILE > robot.urdf`"
         raise Refusal(file.name, "file", "be a URDF", "a xacro source", valid)
     mappings = [f"{name}:={value}" for name, value in arguments.items()]
-    packages = {name: str(folder) for name, folder in source_packages(file.parent).items()}
+    packages = {name: str(folder) for name, folder in find_source_packages(file.parent).items()}
     command = [
         sys.executable, "-P", expand_xacro.__file__, str(file.resolve()), json.dumps(packages),
         *mappings,

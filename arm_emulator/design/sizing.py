@@ -89,7 +89,7 @@ class Sized:
     text: tuple[str, ...] = ()  # of its parts, where a data file has them
 
 
-def size(demands: list[Demand], kind: type[Motor] = MOTORS[0]) -> tuple[float, list[Sized]]:
+def size_drives(demands: list[Demand], kind: type[Motor] = MOTORS[0]) -> tuple[float, list[Sized]]:
     """Return the supply voltage [V] and a drive for every joint, with motors of a kind.
 
     In short: peak torque and speed as published, else those of the description, else what holds and

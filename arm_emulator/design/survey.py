@@ -36,7 +36,7 @@ class Survey:
     """Displacement of the tool from the start, within reach, (3,) [m]."""
 
 
-def survey(scene: Scene, kinematics: Kinematics, shapes: Collisions | None = None) -> Survey:
+def inspect_arm(scene: Scene, kinematics: Kinematics, shapes: Collisions | None = None) -> Survey:
     """Look at an arm in many poses within its limits, drawn always the same.
 
     Args:
@@ -53,10 +53,10 @@ def survey(scene: Scene, kinematics: Kinematics, shapes: Collisions | None = Non
     smallest, coupling = np.full(N, np.inf), np.zeros((N, N))
     weight = np.zeros(N)
     for q in poses:
-        M = loads.mass_matrix(q)
+        M = loads.compute_mass_matrix(q)
         smallest = np.minimum(smallest, 1.0 / np.diag(np.linalg.inv(M)))
         coupling = np.maximum(coupling, np.abs(M))
-        weight = np.maximum(weight, np.abs(loads.weight(q)))
+        weight = np.maximum(weight, np.abs(loads.compute_weight(q)))
     start = _choose_start(kinematics, low, high, rng, shapes)
     inertia = np.stack([smallest, np.diag(coupling)], axis=1)
     displacement = _choose_displacement(kinematics, start, low, high)

@@ -18,7 +18,7 @@ from arm_emulator.analysis.servo_loop import (
 from arm_emulator.analysis.stability import compute_rest
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.io.yaml_file import read_yaml
-from arm_emulator.design.joint_gains import GearData, MotorData, design
+from arm_emulator.design.joint_gains import GearData, MotorData, compute_gains
 from arm_emulator.design.sizing import round_figure
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.scene.joint import Joint
@@ -115,7 +115,7 @@ def compute_falls(scene: Scene) -> Array:
     return steepest
 
 
-def group_gains(gains: list[float]) -> list[float]:
+def compute_group_gains(gains: list[float]) -> list[float]:
     """Return the position gains of joints that keep together: in groups, that of the slowest.
 
     Args:
@@ -163,15 +163,15 @@ def load_without_payload(file: Path, payload: float | None = None) -> tuple[Scen
     return load_scene(file, loaded), without
 
 
-def tuned_servo(file: Path, servo: ServoConfig) -> ServoConfig:
+def tune_servo(file: Path, servo: ServoConfig) -> ServoConfig:
     """Return the servo with the gains that `tune` computes for a scene."""
     scene, without = load_without_payload(file)
-    return compute(
+    return compute_servo(
         scene, servo, compute_link_inertias([scene] if without is None else [scene, without])
     )
 
 
-def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoConfig:
+def compute_servo(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoConfig:
     """Return the servo with computed gains.
 
     Each joint is designed by itself (joint_gains.py); then those of a group get the position gain
@@ -184,7 +184,7 @@ def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoCon
     for joint, inertia in zip(scene.joints, inertias, strict=True):
         motor, gear = make_joint_data(joint)
         own = by_name[joint.name]
-        gains = design(
+        gains = compute_gains(
             motor,
             gear,
             inertia,
@@ -195,7 +195,7 @@ def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoCon
         )
         tuned[joint.name] = dataclasses.replace(own, **dataclasses.asdict(gains))
     alone = {name: joint.position_gain for name, joint in tuned.items()}
-    shared = dict(zip(tuned, group_gains([*alone.values()]), strict=True))
+    shared = dict(zip(tuned, compute_group_gains([*alone.values()]), strict=True))
     fall = dict(zip(scene.joint_names, compute_falls(scene).tolist(), strict=True))
     joints = [
         hold_falling_link(
@@ -270,7 +270,7 @@ def make_joint_data(joint: Joint) -> tuple[MotorData, GearData]:
     )
 
 
-def examine(scene: Scene, without: Scene | None, servo: ServoConfig) -> Tuned:
+def examine_gains(scene: Scene, without: Scene | None, servo: ServoConfig) -> Tuned:
     """Return what gains do: linear, over the poses, and in a run of the machine."""
     loops = ServoLoops(scene, servo)
     return Tuned(
@@ -278,7 +278,7 @@ def examine(scene: Scene, without: Scene | None, servo: ServoConfig) -> Tuned:
         loops.compute_margins(),
         None if without is None else ServoLoops(without, servo).compute_margins(),
         [_compute_step(loops, j) for j in range(len(scene.joints))],
-        run(scene, servo),
+        run_move(scene, servo),
         loops,
     )
 
@@ -288,7 +288,7 @@ def _compute_step(loops: ServoLoops, joint: int) -> Step:
     every = max(1, round(12.0 / loops.joints[joint].position_gain / period / ROWS))
     worst = Step(0.0, 0.0, 0.0)
     for loop in loops.loops:
-        q = loop.step(joint, ROWS, every)[:, joint]
+        q = loop.compute_step_response(joint, ROWS, every)[:, joint]
         off = np.flatnonzero(~(np.abs(q - 1.0) <= 0.02))
         settled = math.inf if off[-1] == ROWS - 1 else float(off[-1] + 1) * every * period
         rise = float(np.argmax(q >= 0.9) - np.argmax(q >= 0.1)) * every * period
@@ -299,7 +299,7 @@ def _compute_step(loops: ServoLoops, joint: int) -> Step:
     return worst
 
 
-def run(scene: Scene, servo: ServoConfig) -> TuningRun:
+def run_move(scene: Scene, servo: ServoConfig) -> TuningRun:
     """Move all joints of the machine at once, smoothly (jerk without jumps), and let it rest."""
     session, drives = Session(scene, "lockstep", "first_answer"), ServoArm(servo)
     order = [scene.joint_names.index(name) for name in servo.joint_names]

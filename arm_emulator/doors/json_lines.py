@@ -55,11 +55,11 @@ class JsonLinesServer:
         with self._socket:
             while not self._closing.is_set():
                 if select.select([self._socket], [], [], LOOK)[0]:
-                    with self.accept() as client:
+                    with self.accept_client() as client:
                         client.settimeout(PATIENCE)
                         self._serve_client(client)
 
-    def accept(self) -> socket.socket:
+    def accept_client(self) -> socket.socket:
         """Return the next client."""
         return self._socket.accept()[0]
 
@@ -80,7 +80,7 @@ class JsonLinesServer:
                     return
                 *lines, partial = (partial + data).split(b"\n")
                 for line in lines:
-                    client.sendall(self.answer(line))
+                    client.sendall(self.answer_line(line))
                 if len(partial) > LONGEST:
                     return
         except OSError:  # it has gone, or does not read
@@ -96,7 +96,7 @@ class JsonLinesServer:
             "outputs": units,
         })  # fmt: skip
 
-    def answer(self, line: bytes) -> bytes:
+    def answer_line(self, line: bytes) -> bytes:
         """Take a line, and return the reply."""
         if self._session.is_self_clocked:
             self._session.take(newest=True)
@@ -120,7 +120,7 @@ class JsonLinesServer:
         on, again = (self._read_flag(request, key) for key in ("power", "reset"))
         names = self._session.scene.joint_names
         rows = {
-            key: self._numbers(key, request[key], len(names))
+            key: self._read_numbers(key, request[key], len(names))
             for key in ("command", *self._inputs)
             if key in request
         }
@@ -144,7 +144,7 @@ class JsonLinesServer:
             return flag
         raise Refusal(self._where, key, "be true or false", flag)
 
-    def _numbers(self, key: str, values: object, count: int) -> list[float]:
+    def _read_numbers(self, key: str, values: object, count: int) -> list[float]:
         """Return a list of so many numbers.
 
         Raises:
@@ -167,12 +167,12 @@ class JsonLinesServer:
 def _write_line(of: dict[str, Any]) -> bytes:
     """Return an object as a line; numbers that are not finite are null."""
 
-    def finite(value: Any) -> Any:
+    def replace_infinite(value: Any) -> Any:
         if isinstance(value, list):
-            return [finite(element) for element in value]
+            return [replace_infinite(element) for element in value]
         return None if isinstance(value, float) and not math.isfinite(value) else value
 
-    return json.dumps({key: finite(value) for key, value in of.items()}).encode() + b"\n"
+    return json.dumps({key: replace_infinite(value) for key, value in of.items()}).encode() + b"\n"
 
 
 class TcpServer(JsonLinesServer):
@@ -198,9 +198,9 @@ class TcpServer(JsonLinesServer):
         super().__init__("tcp", session, listening)
         self.address: tuple[str, int] = listening.getsockname()
 
-    def accept(self) -> socket.socket:
+    def accept_client(self) -> socket.socket:
         """Return the next client, whose lines are not held back for longer ones."""
-        client = super().accept()
+        client = super().accept_client()
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return client
 

@@ -63,10 +63,12 @@ class Datagrams:
             [*head, ("control", "<i8"), *((name, "<f8", N) for name in ("command", *self.inputs))]
         )
         self.measurement = np.dtype([*head, ("status", "<i8"), *rows])
-        words = repr((scene.joint_names, self.command.descr, self.measurement.descr, self._units()))
+        words = repr(
+            (scene.joint_names, self.command.descr, self.measurement.descr, self._list_units())
+        )
         self.layout = zlib.crc32(words.encode()) + 1  # 0 is that of refusals
 
-    def _units(self) -> dict[str, tuple[str, ...]]:
+    def _list_units(self) -> dict[str, tuple[str, ...]]:
         """Return the units of each joint by the names of numbers, none of those without."""
         scene = self._scene
         command = tuple(joint.unit for joint in scene.joints)
@@ -75,7 +77,7 @@ class Datagrams:
 
     def write_header(self) -> str:
         """Return the layout as a header in C."""
-        units = self._units()
+        units = self._list_units()
 
         def write_struct(name: str, kind: np.dtype[np.void]) -> str:
             lines = []
@@ -158,7 +160,7 @@ class UdpServer:
             while not self._closing.is_set():
                 if select.select([self._socket], [], [], LOOK)[0]:
                     data, self._peer = self._socket.recvfrom(LARGEST)
-                    self._send(self.answer(data), self._peer)
+                    self._send_reply(self.answer_datagram(data), self._peer)
         finally:
             self.close()
             if ticks is not None:
@@ -169,7 +171,7 @@ class UdpServer:
         """Let `serve` end."""
         self._closing.set()
 
-    def answer(self, data: bytes) -> bytes:
+    def answer_datagram(self, data: bytes) -> bytes:
         """Take a datagram, and return the reply."""
         session, kind = self._session, self.datagrams.command
         try:
@@ -218,9 +220,9 @@ class UdpServer:
             if session.wait(LOOK):
                 while session.take():
                     if self._peer is not None:
-                        self._send(self._write_measurement(), self._peer)
+                        self._send_reply(self._write_measurement(), self._peer)
 
-    def _send(self, data: bytes, peer: tuple[str, int]) -> None:
+    def _send_reply(self, data: bytes, peer: tuple[str, int]) -> None:
         try:
             self._socket.sendto(data, peer)
         except OSError:  # it has gone, or its buffer is full: a datagram may be lost

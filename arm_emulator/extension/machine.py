@@ -2,12 +2,12 @@
 
 from arm_emulator.analysis.linear_servo import Loop as ServoLoop
 from arm_emulator.analysis.mode_loops import Mode as LoopMode
-from arm_emulator.analysis.mode_loops import withheld_modes, withheld_words
+from arm_emulator.analysis.mode_loops import describe_withheld_modes, list_withheld_modes
 from arm_emulator.analysis.residual_vibration import QUANTITIES as VIBRATION_QUANTITIES
 from arm_emulator.analysis.residual_vibration import find_reference_end, measure_vibration
 from arm_emulator.analysis.servo_loop import draw_poses
 from arm_emulator.analysis.stability import SmallMotions
-from arm_emulator.analysis.stability import explain as explain_divergence
+from arm_emulator.analysis.stability import explain_divergence as explain_divergence
 from arm_emulator.analysis.vibration_modes import find_vibration_modes
 from arm_emulator.base.calibration.deviation import Deviation
 from arm_emulator.base.calibration.joint_path import JointPath
@@ -17,7 +17,7 @@ from arm_emulator.base.urdf.joint_tree import MOVING_KINDS, UrdfJoint, list_elem
 from arm_emulator.base.urdf.joint_tree import find_root as find_root_link
 from arm_emulator.base.urdf.joint_tree import read_joints as read_urdf_joints
 from arm_emulator.base.urdf.urdf_text import parse_urdf
-from arm_emulator.design.assumed_bodies import inertial_of
+from arm_emulator.design.assumed_bodies import make_inertial
 from arm_emulator.machine.chain import Body, ChainJoint
 from arm_emulator.machine.cxx_literals import format_number as cxx_number
 from arm_emulator.machine.faults.scene_faults import SceneFault

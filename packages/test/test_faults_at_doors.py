@@ -20,7 +20,7 @@ from test_driven_machine import compile_client
 from test_udp import datagram, read
 
 from arm_emulator import Breakpoint, OfflineRun, Plant, Session, load_gains
-from arm_emulator.cli.commands.servo_header import servo_data_unit
+from arm_emulator.cli.commands.servo_header import make_servo_data_unit
 from arm_emulator.doors.json_lines import JsonLinesServer, TcpServer, UnixSocketServer
 from arm_emulator.doors.udp import GREETING, POWER, REFUSED, UdpServer
 from arm_emulator.machine.plant.compiler import compile_ahead
@@ -136,7 +136,7 @@ class ByTcp(BySession):
         self._send({})
 
     def _send(self, fields: dict[str, Any]) -> None:
-        reply = json.loads(self.server.answer(json.dumps(fields).encode()))
+        reply = json.loads(self.server.answer_line(json.dumps(fields).encode()))
         if "refused" in reply:
             raise Refused(reply["refused"])
 
@@ -167,7 +167,7 @@ class ByUdp(ByTcp):
 
     def _answer(self, tick: int, command: object) -> None:
         kinds = self.udp.datagrams
-        reply = self.udp.answer(datagram(kinds, tick, command, POWER * self.on))
+        reply = self.udp.answer_datagram(datagram(kinds, tick, command, POWER * self.on))
         if reply.startswith(REFUSED):
             raise Refused(reply[len(REFUSED) :].decode())
         assert read(self.udp, reply)["tick"] == self.tick
@@ -432,7 +432,7 @@ def test_a_unit(tmp_path: Path) -> None:
 
 def test_the_machine_of_ros2_control(tmp_path: Path) -> None:
     compile_ahead(SCENE, "native", tmp_path)
-    compile_units([servo_data_unit("three_axis")], "native", tmp_path)
+    compile_units([make_servo_data_unit("three_axis")], "native", tmp_path)
     compile_client(tmp_path, Path(__file__).with_name("commanded_machine.cpp"), "-O0")
     door = ByRos2Control(tmp_path)
     with door.client:

@@ -3,7 +3,7 @@
 import dataclasses
 from pathlib import Path
 
-from arm_emulator.bags.comparison import compare
+from arm_emulator.bags.comparison import compare_bag
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
@@ -26,21 +26,23 @@ def check_bag(bag: Path, /, *, scene: SceneName | None = None, strict: bool = Fa
         scene: scene file or name (default: the one that the bag names).
         strict: exit code 1 also if any message is not compared.
     """
-    compared = compare(bag, scene)
+    compared = compare_bag(bag, scene)
     tally, left_out, difference = compared.tally, compared.left_out, compared.difference
     clock = "" if compared.lockstep else " in real time"
-    output.line(f"scene {compared.scene}{clock}: {tally.compared}")
+    output.print_line(f"scene {compared.scene}{clock}: {tally.compared}")
     if parent := compared.about.get(PARENT):
-        output.line(f"forked from {parent} at tick {compared.about.get(FORKED_AT)}")
+        output.print_line(f"forked from {parent} at tick {compared.about.get(FORKED_AT)}")
     recorded_in = compared.about.get(ARITHMETIC_OF, ARITHMETIC)  # other recorders name none
     if recorded_in != ARITHMETIC:
-        output.line(f"recorded in another arithmetic, {recorded_in}; this is {ARITHMETIC}")
-    output.line(f"compared: {'; '.join(f'{name} ({of})' for name, of in compared.fields.items())}")
+        output.print_line(f"recorded in another arithmetic, {recorded_in}; this is {ARITHMETIC}")
+    output.print_line(
+        f"compared: {'; '.join(f'{name} ({of})' for name, of in compared.fields.items())}"
+    )
     for line in left_out:
-        output.line(f"not compared: {line}")
+        output.print_line(f"not compared: {line}")
     if compared.others:
-        output.line(f"topics that are not compared: {', '.join(compared.others)}")
-    output.facts(
+        output.print_line(f"topics that are not compared: {', '.join(compared.others)}")
+    output.add_facts(
         {
             "bag": bag,
             "scene": compared.scene,
@@ -54,11 +56,13 @@ def check_bag(bag: Path, /, *, scene: SceneName | None = None, strict: bool = Fa
         }
     )
     if difference is not None:
-        output.line(f"the first difference: {difference}")
+        output.print_line(f"the first difference: {difference}")
         for hint in compared.hints:
-            output.line(f"note: {hint}")
+            output.print_line(f"note: {hint}")
     elif tally.after:
-        output.line("not checked to its end; what was compared is equal to the last bit")
+        output.print_line("not checked to its end; what was compared is equal to the last bit")
     else:
-        output.line(f"equal to the last bit{', as far as it was compared' if left_out else ''}")
+        output.print_line(
+            f"equal to the last bit{', as far as it was compared' if left_out else ''}"
+        )
     return int(bool(difference or tally.after or (strict and left_out)))

@@ -8,7 +8,12 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from arm_emulator.analysis.holding import find_overloads
-from arm_emulator.analysis.mode_loops import LoopFigure, ModeLoops, withheld_modes, withheld_words
+from arm_emulator.analysis.mode_loops import (
+    LoopFigure,
+    ModeLoops,
+    describe_withheld_modes,
+    list_withheld_modes,
+)
 from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.base.io.config_files import find_beside, find_scene
 from arm_emulator.base.io.yaml_file import read_yaml
@@ -18,7 +23,7 @@ from arm_emulator.base.urdf.urdf_text import parse_urdf
 from arm_emulator.base.warning import print_warnings
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
-from arm_emulator.cli.output import output, plain
+from arm_emulator.cli.output import convert_to_plain, output
 from arm_emulator.design.inertia_check import check_inertias, list_doubtful_inertias
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.machine.scene.urdf_file import find_urdf
@@ -42,15 +47,15 @@ def check_scenes(
     facts = list[dict[str, object]]()
     for name in (scene, *more):
         checked = check_scene(name)
-        output.line(checked.line)
-        fact: dict[str, object] = plain(checked)
+        output.print_line(checked.line)
+        fact: dict[str, object] = convert_to_plain(checked)
         if modes:
             machine, servo = _load_with_loops(name)
             fact["modes"] = list_mode_facts(machine, servo)
             if not output.as_json:
                 print(format_page_table(build_mode_rows(machine, servo)))
         facts.append(fact)
-    output.facts({"scenes": facts})
+    output.add_facts({"scenes": facts})
     return 0
 
 
@@ -116,7 +121,9 @@ def check_scene(name: str) -> CheckedScene:
     _check_controller(scene.urdf, scene.joint_names, gains.motion)
     warn_of_loops(scene, gains.servo)
     for drive_modes in load_all(MODES):
-        for text in withheld_words(scene, withheld_modes(scene, gains.servo, drive_modes())):
+        for text in describe_withheld_modes(
+            scene, list_withheld_modes(scene, gains.servo, drive_modes())
+        ):
             print_warnings(text)
     warn_of_gravity(scene, gains.motion)
     return checked

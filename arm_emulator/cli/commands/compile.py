@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 from arm_emulator.base.packages import CARDS, SCENE_UNITS, UNITS, find_entry, load_all
 from arm_emulator.cli.command import command
-from arm_emulator.cli.commands.servo_header import servo_data_unit
+from arm_emulator.cli.commands.servo_header import make_servo_data_unit
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.machine.plant.compiler import compile_ahead
@@ -73,11 +73,11 @@ def compile_scene(
         answered_states_unit(),
     ]
     if servo:
-        code.append(servo_data_unit(scene))
+        code.append(make_servo_data_unit(scene))
     if packages:
         code += [unit_of() for unit_of in load_all(UNITS)]
     libraries = [*of_scene, *compile_units(code, target, into), *of_card]
     for library in libraries:
-        output.line(str(library))
-    output.facts({"libraries": libraries})
+        output.print_line(str(library))
+    output.add_facts({"libraries": libraries})
     return 0

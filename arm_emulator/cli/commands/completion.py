@@ -2,19 +2,19 @@
 
 from typing import Literal
 
-from arm_emulator.cli.arguments import completion_script
+from arm_emulator.cli.arguments import write_completion_script
 from arm_emulator.cli.command import command
 from arm_emulator.cli.output import output
 
 
 @command(keys="`shell`, `script`")
-def completion(shell: Literal["bash", "zsh", "fish"], /) -> int:
+def print_completion(shell: Literal["bash", "zsh", "fish"], /) -> int:
     """Print a script that completes commands and options in a shell.
 
     Args:
         shell: whose completions are printed.
     """
-    script = completion_script(shell)
-    output.line(script)
-    output.facts({"shell": shell, "script": script})
+    script = write_completion_script(shell)
+    output.print_line(script)
+    output.add_facts({"shell": shell, "script": script})
     return 0

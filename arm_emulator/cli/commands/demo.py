@@ -64,7 +64,7 @@ class DemoResult:
         "`target` (predicted), `missed` (why target or prediction were not met)"
     ),
 )
-def demo(
+def run_demo(
     scene: SceneName = "three_axis",
     /,
     *,
@@ -89,7 +89,7 @@ def demo(
     machine.refuse_bearings("the demo")
     check_fit(machine, gains.servo, gains.motion)
     warn_of_loops(machine, gains.servo)
-    plan = DemoPlan.load(file, round(gains.motion.period * NANOSECONDS))
+    plan = DemoPlan.load_plan(file, round(gains.motion.period * NANOSECONDS))
     predicted = predict_rest(machine, gains, plan)
     console.print(f"predicted residual (mm)   {_format_row(predicted.deviations[-1])}")
     if predicted.missed:
@@ -108,16 +108,16 @@ def demo(
                 emulator={"rerun_file": (out / "demo.rrd").resolve()},
                 log=out / "log",
             ) as network:
-                result = _run(machine, gains, plan, network, console)
+                result = _run_plan(machine, gains, plan, network, console)
                 codes = network.stop()
         finally:
             rclpy.try_shutdown()
     unclean = {name: code for name, code in codes.items() if code != 0}
     if unclean:
         console.print(f"[red]not ended cleanly: {unclean}, see {out / 'log'}")
-    missed = predicted.missed_by(result.deviations, exact=clock == "lockstep")
-    _report(machine, clock, predicted, result, missed, out, console)
-    return max(output.judge("demo", missed), 1 if unclean else 0)
+    missed = predicted.describe_miss(result.deviations, exact=clock == "lockstep")
+    _report_result(machine, clock, predicted, result, missed, out, console)
+    return max(output.report_miss("demo", missed), 1 if unclean else 0)
 
 
 def _format_row(values: Array) -> str:
@@ -126,7 +126,7 @@ def _format_row(values: Array) -> str:
     )
 
 
-def _run(
+def _run_plan(
     scene: Scene, gains: Gains, plan: DemoPlan, network: Bringup, console: Console
 ) -> DemoResult:
     motion = gains.motion
@@ -138,11 +138,11 @@ def _run(
     observer = _Observer(true, target, period_ns, plan)
     try:
         with console.status("waiting for the three nodes to meet"):
-            observer.wait(lambda: observer.answered, network, "the nodes to meet")
+            observer.wait_until(lambda: observer.answered, network, "the nodes to meet")
             observer.send_target(plan.settle_ns)
-            observer.wait(lambda: observer.target_taken, network, "the target to be taken")
-            observer.wait(observer.can_go, network, "the emulator's service")
-            observer.go()
+            observer.wait_until(lambda: observer.target_taken, network, "the target to be taken")
+            observer.wait_until(observer.can_go, network, "the emulator's service")
+            observer.resume_time()
         started = time.monotonic()
         with Progress(
             TextColumn("instruction {task.completed:>3}"),
@@ -155,25 +155,27 @@ def _run(
 
             def is_finished() -> bool:
                 if observer.q:
-                    deviation = np.linalg.norm(observer.deviation(-1)) * 1e3
+                    deviation = np.linalg.norm(observer.compute_deviation(-1)) * 1e3
                     text = f"deviation {deviation:9.4f} mm"
                     progress.update(bar, completed=len(observer.q) - 1, deviation=text)
                 return len(observer.q) > plan.instructions
 
-            observer.wait(is_finished, network, "the instructions", patience=15.0 * PATIENCE)
+            observer.wait_until(is_finished, network, "the instructions", patience=15.0 * PATIENCE)
         wall = time.monotonic() - started
         observed = observer.q[: plan.instructions + 1]
         if plan.motion is not None:
             with console.status("a motion to look at"):
-                observer.show(Pose(p_WT + plan.motion, R_WT))
+                observer.show_target(Pose(p_WT + plan.motion, R_WT))
                 end = len(observer.q) + plan.instructions
-                observer.wait(lambda: len(observer.q) > end, network, "the motion that is shown")
+                observer.wait_until(
+                    lambda: len(observer.q) > end, network, "the motion that is shown"
+                )
     finally:
         observer.destroy_node()
     logical = (plan.settle_ns + plan.instructions * period_ns) / NANOSECONDS
     return DemoResult(
-        deviations=np.array([observer.deviation(k) for k in range(len(observed))]),
-        rotations=np.array([observer.rotation(k) for k in range(len(observed))]),
+        deviations=np.array([observer.compute_deviation(k) for k in range(len(observed))]),
+        rotations=np.array([observer.compute_rotation(k) for k in range(len(observed))]),
         oriented=controller.kinematics.rows > POSITION_ROWS,
         real_time_factor=logical / wall,
     )
@@ -193,13 +195,15 @@ class _Observer(Node):
         self._period_ns, self._start_ns = period_ns, plan.settle_ns
         self._targets = self.create_publisher(PoseStamped, "tool_target", COMMAND_QOS)
         self._pause = self.create_client(SetBool, "emulator/pause")
-        self.create_subscription(EmulatorStatus, "emulator/status", self._on_status, STATE_SUB_QOS)
         self.create_subscription(
-            JointState, "emulator/joint_states", self._on_truth, rclpy.qos.QoSProfile(depth=100)
+            EmulatorStatus, "emulator/status", self._handle_status, STATE_SUB_QOS
         )
-        self.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, 10)
+        self.create_subscription(
+            JointState, "emulator/joint_states", self._handle_truth, rclpy.qos.QoSProfile(depth=100)
+        )
+        self.create_subscription(DiagnosticArray, "diagnostics", self._handle_diagnostics, 10)
 
-    def wait(
+    def wait_until(
         self,
         condition: Callable[[], bool],
         network: Bringup,
@@ -223,14 +227,14 @@ class _Observer(Node):
         """Send the target, repeatedly until accepted: an undiscovered node does not receive it."""
         message = _make_pose_message(self._target, from_ns)
 
-        def send() -> None:
+        def send_pose() -> None:
             if not self.target_taken:
                 self._targets.publish(message)
 
-        send()
-        self.create_timer(0.2, send)
+        send_pose()
+        self.create_timer(0.2, send_pose)
 
-    def show(self, pose: Pose) -> None:
+    def show_target(self, pose: Pose) -> None:
         """Send a target to the nodes that have met, from the next instruction on."""
         after = self._start_ns + len(self.q) * self._period_ns
         self._targets.publish(_make_pose_message(pose, after))
@@ -238,37 +242,37 @@ class _Observer(Node):
     def can_go(self) -> bool:
         return self._pause.service_is_ready()
 
-    def go(self) -> None:
+    def resume_time(self) -> None:
         """Let time continue, and request it again until it does."""
 
-        def ask() -> None:
+        def request_resume() -> None:
             if not self.q:
                 self._pause.call_async(SetBool.Request(data=False))
 
-        ask()
-        self.create_timer(5.0, ask)
+        request_resume()
+        self.create_timer(5.0, request_resume)
 
-    def deviation(self, k: int) -> Array:
+    def compute_deviation(self, k: int) -> Array:
         """Target minus tool before instruction k, (3,) [m]."""
         return self._target.p_WT - self._kinematics.forward(self.q[k])[1]
 
-    def rotation(self, k: int) -> float:
+    def compute_rotation(self, k: int) -> float:
         """Angle between the tool and its target before instruction k [rad]."""
         R = self._kinematics.forward(self.q[k])[0].T @ self._target.R_WT
         # From the skew part, since the arc cosine of the trace is inaccurate near 0.
         skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
         return float(np.arctan2(np.linalg.norm(skew), np.trace(R) - 1.0))
 
-    def _on_status(self, status: EmulatorStatus) -> None:
+    def _handle_status(self, status: EmulatorStatus) -> None:
         self.answered = self.answered or status.answered
 
-    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+    def _handle_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
             if status.name == "motion_controller":
                 taken = {pair.key: pair.value for pair in status.values}.get("tool targets", "0")
                 self.target_taken = self.target_taken or taken != "0"
 
-    def _on_truth(self, truth: JointState) -> None:
+    def _handle_truth(self, truth: JointState) -> None:
         now = to_nanoseconds(truth.header.stamp)
         expected = self._start_ns + len(self.q) * self._period_ns
         if now == expected:
@@ -288,7 +292,7 @@ def _make_pose_message(target: Pose, from_ns: int) -> PoseStamped:
     return message
 
 
-def _report(
+def _report_result(
     scene: Scene,
     clock: str,
     predicted: PredictedRest,
@@ -324,7 +328,7 @@ def _report(
     if not missed:
         near = "" if clock == "lockstep" else "near "
         console.print(f"the target is reached, and the residual is {near}the predicted one")
-    output.facts(summary)
+    output.add_facts(summary)
     (out / "demo.json").write_text(json.dumps(summary, indent=1), encoding="utf-8")
     if result.oriented:
         console.print(f"orientation off by        {result.rotations[-1] * 1e3:.4f} mrad")

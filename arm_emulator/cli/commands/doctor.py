@@ -75,7 +75,7 @@ class SystemFinding(NamedTuple):
 
 
 @command(keys="`findings`")
-def doctor() -> int:
+def check_machine() -> int:
     """Check compiler, packages, ROS, processes, shared memory and disk: a line each, with a remedy.
 
     The exit code is 1 if there is a problem. A missing package of some commands is a note.
@@ -84,8 +84,8 @@ def doctor() -> int:
     for finding in run_checks():  # printed one by one: the imports take seconds
         listed.append(finding)
         remedy = f"; {finding.remedy}" if finding.remedy else ""
-        output.line(f"{finding.level:<8} {finding.name:<15} {finding.text}{remedy}")
-    output.facts({"findings": [finding._asdict() for finding in listed]})
+        output.print_line(f"{finding.level:<8} {finding.name:<15} {finding.text}{remedy}")
+    output.add_facts({"findings": [finding._asdict() for finding in listed]})
     return int(any(finding.level == "problem" for finding in listed))
 
 
@@ -143,7 +143,7 @@ def _try_check(name: str, look: Callable[[], str]) -> SystemFinding:
 
 
 def _check_compiler() -> SystemFinding:
-    def look() -> str:
+    def check_version() -> str:
         words = find_compiler()
         program = "#include <concepts>\n#include <numbers>\n"
         command = [*words, "-std=c++20", "-fsyntax-only", "-x", "c++", "-"]
@@ -157,7 +157,7 @@ def _check_compiler() -> SystemFinding:
         ).stdout.splitlines()
         return f"{' '.join(words)}: {version[0] if version else 'compiles C++20'}"
 
-    return _try_check("compiler", look)
+    return _try_check("compiler", check_version)
 
 
 def _check_cache() -> SystemFinding:
@@ -298,7 +298,7 @@ def list_network_faults(node: Node) -> Iterator[NetworkFault]:
     for topic, kinds in node.get_topic_names_and_types():
         offers = node.get_publishers_info_by_topic(topic)
         if CLOCK in kinds and len(offers) > 1:
-            names = ", ".join(sorted(map(_name, offers)))
+            names = ", ".join(sorted(map(_name_endpoint, offers)))
             remedy = "end all but one, or give each network a ROS_DOMAIN_ID or namespace"
             yield NetworkFault(True, f"{topic} has {len(offers)} publishers: {names}", remedy)
         for request in node.get_subscriptions_info_by_topic(topic):
@@ -306,9 +306,9 @@ def list_network_faults(node: Node) -> Iterator[NetworkFault]:
                 level, reason = qos_check_compatible(offer.qos_profile, request.qos_profile)
                 if level == QoSCompatibility.ERROR:
                     why = str(reason).removeprefix("ERROR: ").strip(" ;")
-                    text = f"{topic}: {_name(request)} hears nothing of {_name(offer)}: {why}"
+                    text = f"{topic}: {_name_endpoint(request)} hears nothing of {_name_endpoint(offer)}: {why}"
                     yield NetworkFault(False, text, "change the QoS of one of them")
 
 
-def _name(endpoint: Any) -> str:
+def _name_endpoint(endpoint: Any) -> str:
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"

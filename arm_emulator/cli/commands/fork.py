@@ -21,7 +21,7 @@ from arm_emulator.runs.order import MoveTool, Order, Push, ScaleGains, SetVaried
 
 
 @command(keys="`bag`, `parent`, `tick`, `ticks`, `orders`, `diverged`, `missed`")
-def fork(
+def fork_run(
     bag: Path,
     new: Path,
     /,
@@ -58,7 +58,7 @@ def fork(
         orders.append(SwitchPower(power == "on"))
     if gains is not None:
         orders.append(ScaleGains(gains))
-    orders += [_set(text) for text in set_ or ()]
+    orders += [_read_number(text) for text in set_ or ()]
     if push is not None:
         orders.append(Push(push[0], push[1:]))
     if new.exists():
@@ -82,12 +82,12 @@ def fork(
         future.advance(round(left / period))
     except Diverged as fault:
         diverged = str(fault)
-        output.line(diverged)
+        output.print_line(diverged)
     write_timeline(future, new, bag)
     done = ", ".join(order.name for order in orders) or "as it was"
     ticks = future.newest - future.begins
-    output.line(f"{new}: from tick {future.begins} of {bag}, {done}, {ticks} ticks")
-    output.facts(
+    output.print_line(f"{new}: from tick {future.begins} of {bag}, {done}, {ticks} ticks")
+    output.add_facts(
         {
             "bag": new,
             "parent": bag,
@@ -99,10 +99,10 @@ def fork(
     )
     if diverged or displacement is None or not isinstance(line.run, OfflineRun):
         return 1 if diverged else 0
-    return output.judge("fork", find_missed_order(line.run))
+    return output.report_miss("fork", find_missed_order(line.run))
 
 
-def _set(text: str) -> SetVaried:
+def _read_number(text: str) -> SetVaried:
     """Return the order of a text NAME=VALUE."""
     name, _, value = text.partition("=")
     try:

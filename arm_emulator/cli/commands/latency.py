@@ -44,7 +44,7 @@ MAX_LOST, MAX_OLD = 1e-3, 1e-2  # shares of periods below which a rate is held
     "`periods`, `lost`, `fifo`, `held`, and of the network `answers` (`periods`, `lost`, `old`, "
     "`p99_lateness`, `worst_lateness`)"
 )
-def latency(
+def measure_latency(
     scene: SceneName = "three_axis",
     /,
     *,
@@ -80,7 +80,7 @@ def latency(
     machine, measured = load_scene(scene), list[WakeUps]()
     facts: dict[str, Any] = {}
     head = "late by: median      99 %    99.9 %     worst      lost   with nodes: lost        old"
-    output.line(f"{'rate':>8}   {head if not alone else head[:54]}")
+    output.print_line(f"{'rate':>8}   {head if not alone else head[:54]}")
     with load_processors(busy):
         for rate in rates:
             woken = measure_wake_up_latency(machine, 1.0 / rate, seconds)
@@ -95,13 +95,15 @@ def latency(
                 fact["held"] = fact["held"] and share < MAX_OLD
                 fact["held"] = fact["held"] and probe.lost < MAX_LOST * probe.periods
                 words += f"   {probe.lost:16d} {100 * share:8.2f} %"
-            output.line(f"{words}   {'held' if fact['held'] else 'not held'}")
+            output.print_line(f"{words}   {'held' if fact['held'] else 'not held'}")
     fifo = all(woken.fifo for woken in measured)
-    output.line(f"the thread ran {'under SCHED_FIFO' if fifo else 'without real-time priority'}")
+    output.print_line(
+        f"the thread ran {'under SCHED_FIFO' if fifo else 'without real-time priority'}"
+    )
     if picture is not None:
-        _draw(measured, picture)
-        output.line(str(picture))
-    output.facts({"rates": facts})
+        _draw_histograms(measured, picture)
+        output.print_line(str(picture))
+    output.add_facts({"rates": facts})
     return int(not all(value["held"] for value in facts.values()))
 
 
@@ -116,7 +118,7 @@ def _list_facts(woken: WakeUps) -> dict[str, Any]:
     }
 
 
-def _draw(measured: list[WakeUps], picture: Path) -> None:
+def _draw_histograms(measured: list[WakeUps], picture: Path) -> None:
     """Draw histograms of lateness, a colour per rate."""
     from matplotlib.figure import Figure  # not pyplot: no screen, no global state
 
@@ -184,7 +186,7 @@ def measure_wake_up_latency(scene: Scene, period: float, seconds: float) -> Wake
     loop = RealTimeLoop(plant, round(period * 1e9), scene.cores[0])
     late, spent = list[int](), list[int]()
 
-    def take() -> None:
+    def take_sample() -> None:
         while (reached := loop.take_tick()) is not None:
             late.append(reached.lateness)
             spent.append(reached.spent)
@@ -200,10 +202,10 @@ def measure_wake_up_latency(scene: Scene, period: float, seconds: float) -> Wake
                 )
                 raise Refusal("latency", thread_name, rule, "no wake-up")
             loop.wait_for_tick(0.1)
-            take()
+            take_sample()
     finally:
         loop.stop_time()
-    take()  # wake-ups between the last look and the stop, which have lost periods, too
+    take_sample()  # wake-ups between the last look and the stop, which have lost periods, too
     figures = loop.figures
     late_s, spent_s = (np.array(times, np.float64) * 1e-9 for times in (late, spent))
     return WakeUps(period, late_s, spent_s, figures.lost_periods, bool(figures.fifo))
@@ -250,24 +252,24 @@ def probe_latency(scene: str, period: float, seconds: float) -> ProbeResult:
         ):
             node.listen("emulator/status", EmulatorStatus, STATE_SUB_QOS)
 
-            def newest() -> Any:
+            def get_newest() -> Any:
                 return node.newest.get("emulator/status")
 
             def has_settled() -> bool:
                 if network.find_ended() is not None:
                     rule, actual = "run in real time", _read_last_line(log)
                     raise Refusal("latency", f"nodes of {scene} at {period:g} s", rule, actual)
-                status = newest()
+                status = get_newest()
                 moving = status is not None and status.phase == EmulatorStatus.PHASE_RUNNING
                 return moving and bool(status.logical_time >= SETTLED)
 
             if not node.spin_until(has_settled, PATIENCE):
                 actual = f"no answer within {PATIENCE:g} s"
                 raise Refusal("latency", "the servo", "answer the emulator", actual)
-            begin = newest()
-            node.spin_until(lambda: newest().logical_time >= begin.logical_time + seconds,
+            begin = get_newest()
+            node.spin_until(lambda: get_newest().logical_time >= begin.logical_time + seconds,
                             2.0 * seconds + PATIENCE)  # fmt: skip
-            end = newest()
+            end = get_newest()
     return ProbeResult(
         end.tick - begin.tick,
         end.overruns - begin.overruns,

@@ -41,7 +41,7 @@ IN_PROGRESS = ("accepted", "moving")
 
 
 @command(keys="`states`, `outcome`, `reason`, `distance`, `angle`")
-def move(
+def move_tool(
     *,
     to: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None,
     by: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None,
@@ -102,10 +102,10 @@ def move(
             publisher = node.create_publisher(PoseStamped, topic, COMMAND_QOS)
             message = _make_tool_target(node, to, by, quaternion)
         at_ns = None if at is None else round(at * NANOSECONDS)
-        return _watch(node, publisher, message, kind, at_ns, timeout)
+        return _watch_goal(node, publisher, message, kind, at_ns, timeout)
 
 
-def _watch(
+def _watch_goal(
     node: NetworkClient,
     publisher: Publisher,
     message: PoseStamped | JointTrajectory,
@@ -140,15 +140,15 @@ def _watch(
                 continue
             states.append(state)
             last = status
-            output.line(
+            output.print_line(
                 f"{state}{_format_distance(status)}{f': {status.reason}' if status.reason else ''}"
             )
         return bool(states) and states[-1] not in IN_PROGRESS
 
     if not node.spin_until(has_ended, timeout):
-        output.line(f"no end within {timeout:g} s of wall time: {states[-1:] or 'no answer'}")
+        output.print_line(f"no end within {timeout:g} s of wall time: {states[-1:] or 'no answer'}")
     outcome = states[-1] if states else "no answer"
-    output.facts(
+    output.add_facts(
         {
             "states": states,
             "outcome": outcome,

@@ -21,7 +21,7 @@ from arm_emulator.design.robot_file import read_robot_text
         " `ros2_control` (as that command)"
     ),
 )
-def new(
+def make_scene(
     robot: Path,
     /,
     *arguments: Annotated[str, Parameter(metavar="NAME:=VALUE")],
@@ -72,18 +72,18 @@ def new(
         force=force, replace_inertias=replace_inertias, trust_inertias=trust_inertias,
         joint_data=joint or (),
     )  # fmt: skip
-    facts = _report(written)
+    facts = _report_scene(written)
     if export is not None:
         export.function(str(written.file), into=written.file.parent / "ros2_control")
         facts["ros2_control"] = dict(output.collected)
         output.collected.clear()
-    output.facts(facts)
+    output.add_facts(facts)
     return 0
 
 
-def _report(written: NewScene) -> dict[str, Any]:
+def _report_scene(written: NewScene) -> dict[str, Any]:
     """Print how a scene was made, and return it for programs."""
-    choice, report = written.choice, output.line
+    choice, report = written.choice, output.print_line
     report(f"moves    {', '.join(choice.joints)}")
     for guess in choice.guesses:
         report(f"chosen   {guess}")
@@ -139,7 +139,7 @@ def find_or_make_scene(robot: Path, out: Path) -> Path:
     folder = out / f"{choose_scene_name(robot)}_{digest}"
     file = folder / f"{choose_scene_name(robot)}.yaml"
     if file.exists():
-        output.line(f"taken    {file}, which was there (remove {folder} to start again)")
+        output.print_line(f"taken    {file}, which was there (remove {folder} to start again)")
         return file
-    output.facts(_report(write_new(robot, folder)))
+    output.add_facts(_report_scene(write_new(robot, folder)))
     return file

@@ -9,7 +9,7 @@ from arm_emulator.ros.recording.recorder_presence import RecorderPresence
 
 
 @command(until_stopped=True, keys="`bag`, `messages`, `topics`, `seconds`, `lost`")
-def record(out: Path, /, *, topics: Topics = None, from_start: bool = False) -> int:
+def record_network(out: Path, /, *, topics: Topics = None, from_start: bool = False) -> int:
     """Record the network into a rosbag2 bag until Ctrl-C.
 
     Args:
@@ -21,17 +21,17 @@ def record(out: Path, /, *, topics: Topics = None, from_start: bool = False) -> 
         from arm_emulator.ros.recording.recorder import Recorded
         from arm_emulator.ros.recording.recorder import record as write
 
-        def report(recorded: Recorded) -> None:
+        def report_topic(recorded: Recorded) -> None:
             lost = f"; lost: {recorded.lost}" if recorded.lost else ""
-            output.line(
+            output.print_line(
                 f"{out}: {recorded.messages} messages on {len(recorded.topics)} topics in "
                 f"{recorded.seconds:.1f} s{lost}"
             )
-            output.facts({
+            output.add_facts({
                 "bag": out, "messages": recorded.messages, "topics": recorded.topics,
                 "seconds": recorded.seconds, "lost": recorded.lost or None,
                 **({"refused": str(recorded.refused)} if recorded.refused else {}),
             })  # fmt: skip
-            output.end()
+            output.print_object()
 
-        return write(out, topics, from_start, presence, report)
+        return write(out, topics, from_start, presence, report_topic)

@@ -10,7 +10,7 @@ from arm_emulator.ros.recording.bag_writer import repair as mend
 
 
 @command(keys="`bag`, `messages`, `mended`")
-def repair(bag: Path, /) -> int:
+def repair_bag(bag: Path, /) -> int:
     """Repair a bag whose recorder was killed.
 
     Args:
@@ -21,6 +21,6 @@ def repair(bag: Path, /) -> int:
     except OSError as error:
         raise Refusal("repair", str(bag), "be writable", error.strerror) from None
     count = sum(topic.count for topic in Bag(bag).topics.values())
-    output.facts({"bag": bag, "messages": count, "mended": mended})
-    output.line(f"{bag}: {count} messages, {'mended' if mended else 'was whole already'}")
+    output.add_facts({"bag": bag, "messages": count, "mended": mended})
+    output.print_line(f"{bag}: {count} messages, {'mended' if mended else 'was whole already'}")
     return 0

@@ -39,7 +39,7 @@ NAP = 0.05  # s, wall: Ctrl-C and new listeners are noticed this often
         "recorded ones), `first_other`, `digest` and `missed` in the place of `topics`"
     ),
 )
-def replay(
+def replay_bag(
     bag: Path,
     /,
     *,
@@ -77,21 +77,21 @@ def replay(
                 name: node.create_publisher(
                     get_message_class(recorded.topics[name].type),
                     name,
-                    offer(recorded.topics[name].offered),
+                    choose_publishing_qos(recorded.topics[name].offered),
                 )
                 for name in names
             }
             if wait:
                 _wait_for_listeners(publishers)
-            count = _publish(recorded, publishers, rate)
+            count = _publish_messages(recorded, publishers, rate)
             for publisher in publishers.values():
                 publisher.wait_for_all_acked(ACKNOWLEDGE)
     finally:
-        _end(node)
+        _end_node(node)
     cut = "" if recorded.complete else "; its recorder did not end it"
     wall = time.monotonic() - started
-    output.line(f"{bag}: {count} messages on {len(names)} topics in {wall:.1f} s{cut}")
-    output.facts({
+    output.print_line(f"{bag}: {count} messages on {len(names)} topics in {wall:.1f} s{cut}")
+    output.add_facts({
         "bag": bag, "messages": count, "topics": names, "seconds": wall, "whole": recorded.complete,
     })  # fmt: skip
     return 0
@@ -101,28 +101,28 @@ def _replay_into(bag: Bag, name: str, wait: bool) -> int:
     """Play a bag into a node, and print what it has answered."""
     started = time.monotonic()
     with join_network("replayer", "") as node:
-        result = CausalReplay(bag, name, node).run(wait, output.line)
+        result = CausalReplay(bag, name, node).run(wait, output.print_line)
     wall = time.monotonic() - started
     lost = result.requested - result.answered
-    output.line(
+    output.print_line(
         f"{bag.path} into {name}: {result.answered} answers to {result.requested} messages in "
         f"{wall:.1f} s"
     )
     difference = (
         f", the first other one at {result.first_difference}" if result.first_difference else ""
     )
-    output.line(f"as recorded to the last bit: {result.alike}{difference}")
-    output.line(f"digest of the answers: {result.digest}")
-    output.facts({
+    output.print_line(f"as recorded to the last bit: {result.alike}{difference}")
+    output.print_line(f"digest of the answers: {result.digest}")
+    output.add_facts({
         "bag": bag.path, "messages": result.requested, "answers": result.answered,
         "alike": result.alike, "first_other": result.first_difference or None,
         "digest": result.digest, "seconds": wall, "whole": bag.complete,
     })  # fmt: skip
     at = ", ".join(result.missing)
-    return output.judge("replay", f"{lost} answers are missing, from {at} on" if lost else "")
+    return output.report_miss("replay", f"{lost} answers are missing, from {at} on" if lost else "")
 
 
-def offer(recorded: Collection[QoSProfile]) -> QoSProfile:
+def choose_publishing_qos(recorded: Collection[QoSProfile]) -> QoSProfile:
     """Return the QoS to publish with: as recorded, and where publishers differed, the most.
 
     A reliable publisher serves best-effort listeners too, and a latching one volatile listeners.
@@ -167,7 +167,7 @@ def _wait_for_listeners(publishers: dict[str, Publisher]) -> None:
             time.sleep(NAP)
 
 
-def _publish(bag: Bag, publishers: dict[str, Publisher], rate: float) -> int:
+def _publish_messages(bag: Bag, publishers: dict[str, Publisher], rate: float) -> int:
     """Publish everything and return the number of messages."""
     count, origin = 0, None
     begin = time.monotonic_ns()
@@ -189,7 +189,7 @@ def _check_running() -> None:
         raise ExternalShutdownException
 
 
-def _end(node: Node) -> None:
+def _end_node(node: Node) -> None:
     with contextlib.suppress(RuntimeError):  # a signal's own shutdown may come in between
         node.destroy_node()
         rclpy.try_shutdown()

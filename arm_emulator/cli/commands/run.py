@@ -9,7 +9,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from arm_emulator.analysis.servo_loop import warn_of_loops
-from arm_emulator.analysis.stability import explain
+from arm_emulator.analysis.stability import explain_divergence
 from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.base.packages import find_page_entry
 from arm_emulator.base.refusal import Refusal
@@ -19,7 +19,7 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.new_bag import check_new_bag
 from arm_emulator.cli.options import Keep, PageAt, SceneName, Seconds, TargetFile
 from arm_emulator.cli.output import output
-from arm_emulator.cli.run_report import ctrl_c_ends_at_once, report, ticks_of
+from arm_emulator.cli.run_report import count_ticks, end_at_ctrl_c, report_run
 from arm_emulator.machine.plant.diverged import Diverged
 from arm_emulator.machine.session.session import Session
 from arm_emulator.runs.gains import load_gains
@@ -41,7 +41,7 @@ from arm_emulator.toolchain.c_header import CData
         "`missed` (why the goal was not reached)"
     ),
 )
-def run(
+def run_scene(
     scene: SceneName = "three_axis",
     /,
     *,
@@ -81,7 +81,7 @@ def run(
     session = offline.session
     machine = session.scene
     warn_of_loops(machine, offline.drives.servo.config)
-    ticks = ticks_of(10.0 if seconds is None else seconds, machine)
+    ticks = count_ticks(10.0 if seconds is None else seconds, machine)
     move = MoveTool(displacement or NO_VECTOR)
     target = move.target(offline)
     line = None if page is None and bag is None else Timeline(offline)
@@ -94,17 +94,17 @@ def run(
         except Diverged as fault:
             return _report_divergence(fault, session)
         wall = time.perf_counter() - started
-        report(session, ticks, wall, target.p_WT - offline.true_tool[1])
+        report_run(session, ticks, wall, target.p_WT - offline.true_tool[1])
     missed = (
         find_missed_order(offline) if displacement else find_missed_target(session, machine.start)
     )
-    code = output.judge("run", missed)
+    code = output.report_miss("run", missed)
     _name_viewer(outputs)
     if line is not None and bag is not None:
         from arm_emulator.bags.timeline_bag import write_timeline
 
         write_timeline(line, bag)
-        output.line(f"bag               {bag}")
+        output.print_line(f"bag               {bag}")
     if line is not None and serve is not None:
         serve(line, page)
     return code
@@ -115,7 +115,7 @@ def _run_table(
 ) -> int:
     """Run for some logical time, or for that of the table, and print the outcome."""
 
-    def work(progress: CData | None = None) -> tuple[int, dict[str, object], list[str]]:
+    def run_rows(progress: CData | None = None) -> tuple[int, dict[str, object], list[str]]:
         table_run, targets = load_table_run(scene, table, library, progress)
         if library is None:
             warn_of_loops(table_run.session.scene, load_gains(find_scene(scene)).servo)
@@ -125,9 +125,9 @@ def _run_table(
             return _report_table(table_run, targets, seconds, outputs), output.collected, issued
 
     if library is None:
-        return work()[0]
-    code, collected, issued[:] = run_guarded(library.name, work)  # of another process
-    output.facts(collected)
+        return run_rows()[0]
+    code, collected, issued[:] = run_guarded(library.name, run_rows)  # of another process
+    output.add_facts(collected)
     return code
 
 
@@ -135,30 +135,30 @@ def _report_table(
     table_run: TableRun, targets: TargetTable, seconds: float | None, outputs: RunOutputs
 ) -> int:
     session = table_run.session
-    ticks = ticks_of((targets.seconds or 10.0) if seconds is None else seconds, session.scene)
+    ticks = count_ticks((targets.seconds or 10.0) if seconds is None else seconds, session.scene)
     with Recorder(session.plant, outputs, waits=True, stays=True):
         started = time.perf_counter()
         try:
-            with ctrl_c_ends_at_once():
+            with end_at_ctrl_c():
                 table_run.advance(ticks)
         except Diverged as fault:
             return _report_divergence(fault, session)
         wall = time.perf_counter() - started
         q_target = find_last_target(session.scene, targets, ticks)
-        report(session, ticks, wall, compute_tool_error(session, q_target))
+        report_run(session, ticks, wall, compute_tool_error(session, q_target))
     _name_viewer(outputs)
-    return output.judge("run", find_missed_target(session, q_target))
+    return output.report_miss("run", find_missed_target(session, q_target))
 
 
 def _name_viewer(outputs: RunOutputs) -> None:
     """Print the command that shows the recording of Rerun, where one was written."""
     if outputs.rerun is not None and not outputs.is_port:
-        output.line(f"moving arm        {get_viewer_command(str(outputs.rerun))}")
+        output.print_line(f"moving arm        {get_viewer_command(str(outputs.rerun))}")
 
 
 def _report_divergence(fault: Diverged, session: Session) -> int:
     """Print that a machine has diverged, and return the exit code."""
-    text = explain(fault)
+    text = explain_divergence(fault)
     print(text, file=sys.stderr)
-    output.facts({"scene": session.scene.name, "diverged": text})
+    output.add_facts({"scene": session.scene.name, "diverged": text})
     return 1

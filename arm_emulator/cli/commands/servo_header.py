@@ -25,7 +25,7 @@ from arm_emulator.toolchain.unit import Unit
 
 
 @command(keys="`scene`, `file`, `header` (null in a file)")
-def servo_header(
+def write_servo_header(
     scene: SceneName = "three_axis",
     /,
     *,
@@ -40,9 +40,9 @@ def servo_header(
     machine, servo = load_scene(file), load_gains(file).servo
     check_servo(machine, servo)
     header = write_header(machine.name, machine.joint_names, servo)
-    output.facts({"scene": machine.name, "file": out, "header": None if out else header})
+    output.add_facts({"scene": machine.name, "file": out, "header": None if out else header})
     if out is None:
-        output.line(header.removesuffix("\n"))
+        output.print_line(header.removesuffix("\n"))
         return 0
     try:
         if not out.is_file() or out.read_bytes() != header.encode():
@@ -64,7 +64,7 @@ int servo_get_data(servo_data* out) {
 """
 
 
-def servo_data_unit(scene: str) -> Unit:
+def make_servo_data_unit(scene: str) -> Unit:
     """Return our servo with the data of a scene's joints as what is compiled.
 
     Raises:

@@ -33,7 +33,7 @@ PHASES = {
 
 
 @command(keys="`nodes`, `clock`, `joints`, `target` (those that the network has)")
-def status(
+def show_status(
     *,
     timeout: Annotated[float, Parameter(metavar="S")] = 3.0,
     namespace: str = "",
@@ -50,7 +50,7 @@ def status(
     health: dict[str, DiagnosticStatus] = {}
     prefix = f"{namespace.strip('/')}/" if namespace.strip("/") else ""
 
-    def take(array: DiagnosticArray) -> None:
+    def take_diagnostics(array: DiagnosticArray) -> None:
         health.update(
             {diagnostic.name.removeprefix(prefix): diagnostic for diagnostic in array.status}
         )
@@ -66,7 +66,7 @@ def status(
         sent_at["target"] = info["source_timestamp"]
 
     with join_network("status", namespace) as node:
-        node.create_subscription(DiagnosticArray, "diagnostics", take, DIAGNOSTICS_QOS)
+        node.create_subscription(DiagnosticArray, "diagnostics", take_diagnostics, DIAGNOSTICS_QOS)
         # rclpy's type hint lacks callbacks that take the times of a message, too.
         events, statuses = cast("Any", take_event), cast("Any", take_target)
         node.create_subscription(MachineEvent, "emulator/events", events, EVENT_QOS)
@@ -92,7 +92,7 @@ def status(
             "real_time_factor": clock.real_time_factor,
         }
         power = "on" if clock.powered else "off"
-        output.line(
+        output.print_line(
             f"machine            {facts['clock']['phase']}, power {power}, tick {clock.tick}, "
             f"{clock.logical_time:g} s of logical time, {clock.real_time_factor:.2f} of real time"
         )
@@ -100,7 +100,7 @@ def status(
         now = newest["joint_states"]
         facts["joints"] = dict(zip(now.name, now.position, strict=True))
         words = ", ".join(f"{name} {value:+.4f}" for name, value in facts["joints"].items())
-        output.line(f"joints             {words} (rad or m)")
+        output.print_line(f"joints             {words} (rad or m)")
     if "motion/status" in newest:
         target = newest["motion/status"]
         before = sent_at["target"] < sent_at["reset"]
@@ -108,7 +108,7 @@ def status(
         facts["target"]["before_reset"] = before
         reason = f": {target.reason}" if target.reason else ""
         when = " (before the newest reset)" if before else ""
-        output.line(f"newest target      {facts['target']['state']}{reason}{when}")
+        output.print_line(f"newest target      {facts['target']['state']}{reason}{when}")
     bad = 0
     for name in NODES:
         diagnostic = health.get(name)
@@ -116,10 +116,12 @@ def status(
         words = _describe_health(diagnostic) if diagnostic else ", ".join(others[name])
         facts["nodes"][name] = {"level": level, "message": words}
         bad += level not in ("ok", "other")
-        output.line(f"{name:<18} {level}{f': {words}' if words else ''}")
+        output.print_line(f"{name:<18} {level}{f': {words}' if words else ''}")
     if len(health.keys() & set(NODES)) == 0 and not any(others.values()):
-        output.line("no network: start one (`arm_emulator up`) in this ROS_DOMAIN_ID and namespace")
-    output.facts(facts)
+        output.print_line(
+            "no network: start one (`arm_emulator up`) in this ROS_DOMAIN_ID and namespace"
+        )
+    output.add_facts(facts)
     return int(bad > 0)
 
 
@@ -127,12 +129,12 @@ def _find_other_nodes(node: NetworkClient, topic: str) -> list[str]:
     """Return the nodes that publish a topic."""
     endpoints: list[Any] = []
 
-    def are_all_named() -> bool:
+    def has_all_names() -> bool:
         endpoints[:] = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
         return all(has_name(endpoint.node_name) for endpoint in endpoints)
 
     # The middleware finds a publisher before it knows of which node it is.
-    node.spin_until(are_all_named, NAMED_WITHIN)
+    node.spin_until(has_all_names, NAMED_WITHIN)
     names = {get_full_name(endpoint) for endpoint in endpoints}
     return sorted(f"node {name}" for name in names)
 

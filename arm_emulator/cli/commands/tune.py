@@ -17,9 +17,9 @@ from arm_emulator.design.gain_text import write_gains
 from arm_emulator.design.tuned import (
     Range,
     Tuned,
-    compute,
     compute_link_inertias,
-    examine,
+    compute_servo,
+    examine_gains,
     load_without_payload,
 )
 from arm_emulator.machine.scene.scene import Scene
@@ -28,7 +28,7 @@ from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
 
 
 @command(keys="`scene`, `joints`, `picture`, `written`")
-def tune(
+def tune_scene(
     scene: SceneName = "three_axis",
     /,
     *,
@@ -43,34 +43,36 @@ def tune(
         payload: mass at the tool, instead of the scene's.
         write: write the gains into the servo's file.
     """
-    console = output.console()
+    console = output.make_console()
     file = find_scene(scene)
     servo_file = find_beside(file, "servo")
     if write:
         check_own("tune", servo_file)
     machine, without = load_without_payload(file, payload)
     servo = load_servo_config(servo_file)
-    _check(machine, servo)
+    _check_scene(machine, servo)
     inertias = compute_link_inertias([machine] if without is None else [machine, without])
     with console.status("computing gains"):
-        computed = compute(machine, servo, inertias)
+        computed = compute_servo(machine, servo, inertias)
         pair = {
-            "present": examine(machine, without, servo),
-            "computed": examine(machine, without, computed),
+            "present": examine_gains(machine, without, servo),
+            "computed": examine_gains(machine, without, computed),
         }
-    _print(machine, inertias, pair)
+    _print_gains(machine, inertias, pair)
     picture = None
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         picture = out / f"tune_{machine.name}.png"
-        draw(machine, pair, picture)
+        draw_gains(machine, pair, picture)
         console.print(f"drawn: {picture}")
     if write:
         write_gains(servo_file, computed)
         console.print(f"written: {servo_file}")
     joints = _list_facts(machine, inertias, pair)
     written = servo_file if write else None
-    output.facts({"scene": machine.name, "joints": joints, "picture": picture, "written": written})
+    output.add_facts(
+        {"scene": machine.name, "joints": joints, "picture": picture, "written": written}
+    )
     return 0
 
 
@@ -102,19 +104,19 @@ def _list_facts(
     return facts
 
 
-def _check(scene: Scene, servo: ServoConfig) -> None:
+def _check_scene(scene: Scene, servo: ServoConfig) -> None:
     check_joints(scene, servo)
     for joint in scene.joints:
         if joint.motor is None:
             raise Refusal(scene.where, f"joints.{joint.name}", "have a motor to be tuned", "none")
 
 
-def _print(
+def _print_gains(
     scene: Scene,
     inertias: list[Range],
     pair: Mapping[str, Tuned],
 ) -> None:
-    def gains(label: str, j: int) -> Iterator[str]:
+    def list_gains(label: str, j: int) -> Iterator[str]:
         servo_joint = pair[label].loops.joints[j]
         yield f"{inertias[j][0]:.3g} .. {inertias[j][1]:.3g}" if label == "present" else ""
         yield f"{servo_joint.position_gain:.3g}"
@@ -122,7 +124,7 @@ def _print(
         yield f"{servo_joint.integral_time:.3g}"
         yield f"{servo_joint.observer_bandwidth:.3g}"
 
-    def margins(label: str, j: int) -> Iterator[str]:
+    def list_margins(label: str, j: int) -> Iterator[str]:
         m, bare = pair[label].margins[j], pair[label].bare
         yield f"{m.gain_up:.2f}"
         yield f"{math.degrees(m.phase):.0f}"
@@ -131,39 +133,39 @@ def _print(
         yield "-" if bare is None else f"{bare[j].gain_up:.2f}"
         yield "-" if bare is None else f"{math.degrees(bare[j].phase):.0f}"
 
-    def motion(label: str, j: int) -> Iterator[str]:
+    def list_motion(label: str, j: int) -> Iterator[str]:
         step = pair[label].steps[j]
         yield f"{1e3 * step.rise:.0f}"
         yield f"{100.0 * step.overshoot:.0f} %"
         yield f"{1e3 * step.settling:.0f}"
         yield f"{1e3 * pair[label].run.worst[j]:.3f}"
 
-    def rest(label: str, j: int) -> Iterator[str]:
+    def list_rest(label: str, j: int) -> Iterator[str]:
         count = pair[label].loops.joints[j].count_angle
         yield f"{1e3 * count:.3g}"
         yield f"{pair[label].run.swing[j] / count:.2f}"
 
     for cells, title, *columns in (
-        (gains, "gains", "inertia, kg m2", "position, 1/s", "velocity, N m s/rad", "integral, s",
+        (list_gains, "gains", "inertia, kg m2", "position, 1/s", "velocity, N m s/rad", "integral, s",
          "observer, rad/s"),
-        (margins, "margins, worst pose", "gain", "phase, deg", "delay, periods", "sensitivity",
+        (list_margins, "margins, worst pose", "gain", "phase, deg", "delay, periods", "sensitivity",
          "without payload: gain", "phase, deg"),
-        (motion, "step, worst pose; move", "rise, ms", "overshoot", "settled, ms",
+        (list_motion, "step, worst pose; move", "rise, ms", "overshoot", "settled, ms",
          "off on the way, mrad (mm)"),
-        (rest, "at rest", "a count, mrad (mm)", "swing of the machine, counts"),
+        (list_rest, "at rest", "a count, mrad (mm)", "swing of the machine, counts"),
     ):  # fmt: skip
         rows = [
             (name if label == "present" else "", label, *cells(label, j))
             for j, name in enumerate(scene.joint_names)
             for label in pair
         ]
-        output.table(("joint", "gains", *columns), rows, title=title, left=2)
+        output.print_table(("joint", "gains", *columns), rows, title=title, left=2)
 
 
 ROWS = 400
 
 
-def draw(scene: Scene, pair: Mapping[str, Tuned], file: Path) -> None:
+def draw_gains(scene: Scene, pair: Mapping[str, Tuned], file: Path) -> None:
     """Draw both sets of gains, the present ones dashed, each joint in a colour of its own."""
     from matplotlib.figure import Figure  # not pyplot: no screen, no global state
 
@@ -178,7 +180,7 @@ def draw(scene: Scene, pair: Mapping[str, Tuned], file: Path) -> None:
         w, S = loop.compute_sensitivities()
         for j, name in enumerate(scene.joint_names):
             colour, legend = f"C{j}", name if label == "computed" else None
-            q = loop.step(j, ROWS, every)[:, j]
+            q = loop.compute_step_response(j, ROWS, every)[:, j]
             left.plot(1e3 * period * every * np.arange(ROWS), q, line, color=colour, label=legend)
             frequency = w / (2.0 * math.pi * period)
             middle.loglog(frequency, np.abs(S[:, j]), line, color=colour)

@@ -21,7 +21,7 @@ from arm_emulator.machine.scene.scene import load_scene
         " as in NumPy); with the option header `header` alone"
     ),
 )
-def udp(
+def serve_udp(
     scene: SceneName = "three_axis",
     /,
     *,
@@ -43,8 +43,8 @@ def udp(
     layout = Datagrams(machine)
     if header:
         text = layout.write_header()
-        output.line(text.removesuffix("\n"))
-        output.facts({"header": text})
+        output.print_line(text.removesuffix("\n"))
+        output.add_facts({"header": text})
         return 0
     return serve_clients(
         "udp", machine, clock, outputs, page, lambda session: UdpServer(session, host, port),

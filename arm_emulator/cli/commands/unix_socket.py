@@ -14,7 +14,7 @@ from arm_emulator.machine.scene.scene import load_scene
 
 
 @command(until_stopped=True, keys="`scene`, `address`, `clock`")
-def unix_socket(
+def serve_unix_socket(
     scene: SceneName = "three_axis",
     /,
     *,

@@ -24,7 +24,7 @@ from arm_emulator.ros.process.ctrl_c import CtrlC
     until_stopped=True,
     keys="`scene`, `clock`, `record`, `page` (its address), `ended` (the node that ended first)",
 )
-def up(
+def start_nodes(
     scene: SceneName = "three_axis",
     /,
     *,
@@ -54,7 +54,9 @@ def up(
         use_sim_time: the nodes' own clocks follow the emulator's.
         params_file: ROS parameter file that overrides all other parameters.
     """
-    output.facts({"scene": scene, "clock": clock, "record": record, "page": None, "ended": None})
+    output.add_facts(
+        {"scene": scene, "clock": clock, "record": record, "page": None, "ended": None}
+    )
     factor = parse_factor("up", pace)
     if clock == "realtime" and factor != 1.0:
         rule = "be 1 with --clock realtime, which is never faster or slower"
@@ -68,7 +70,7 @@ def up(
         address = PageAddress.from_text(page).choose_free_port()
         streams |= {"page_host": address.host, "page_port": address.port}
         os.environ[VARIABLE] = token = make_token()
-        output.facts({"page": address.write_url(token)})
+        output.add_facts({"page": address.write_url(token)})
     if record is not None:
         if record.exists():
             raise Refusal("up", f"folder {record}", "be new", "one that exists")
@@ -90,7 +92,7 @@ def up(
                 ended = network.find_ended()
                 if ended is not None:
                     name, code = ended
-                    output.facts({"ended": name})
+                    output.add_facts({"ended": name})
                     print(f"{name} ended with exit code {code}; ending the others")
                     return code if code >= 0 else 128 - code
                 time.sleep(0.1)

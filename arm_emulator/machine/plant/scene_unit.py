@@ -24,7 +24,7 @@ from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.plant.inputs import find_input, list_further_inputs
 from arm_emulator.machine.plant.outputs import list_readings
 from arm_emulator.machine.scene.joint import Joint
-from arm_emulator.machine.scene.known_parts import DEFLECTIONS, rotor_friction_of
+from arm_emulator.machine.scene.known_parts import DEFLECTIONS, make_rotor_friction
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.varied import AXES, TENSOR, Varied, write_expressions
 from arm_emulator.machine.varied_places import SECTION as CALIBRATION

@@ -14,7 +14,7 @@ from made_bags import EmulatorBag
 from sensor_msgs.msg import JointState
 
 from arm_emulator import PlantState, Session
-from arm_emulator.bags.comparison import compare
+from arm_emulator.bags.comparison import compare_bag
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.cli.command_line import main
 from arm_emulator.machine.plant import compiler
@@ -106,7 +106,7 @@ def record(
 
 def difference_between(first: Path, second: Path, scene: Path) -> FirstDifference:
     difference, _ = find_first_difference(
-        *(RecordedMachine.of(bag, str(scene)) for bag in (first, second))
+        *(RecordedMachine.open_run(bag, str(scene)) for bag in (first, second))
     )
     assert difference is not None
     return difference
@@ -120,7 +120,7 @@ def plain(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
 
 def test_equal_runs_are_equal(plain: tuple[Path, States], scene: Path, tmp_path: Path) -> None:
     record(tmp_path / "again", scene)
-    sides = (RecordedMachine.of(bag, str(scene), 1) for bag in (plain[0], tmp_path / "again"))
+    sides = (RecordedMachine.open_run(bag, str(scene), 1) for bag in (plain[0], tmp_path / "again"))
     assert find_first_difference(*sides) == (None, TICKS + 1)
 
 
@@ -207,7 +207,8 @@ def test_another_scene_is_detected_where_the_record_is_still_equal(
     second.write_text(yaml.safe_dump(data, sort_keys=False))
     record(tmp_path / "other_bag", second, truths=False)
     difference, equal = find_first_difference(
-        RecordedMachine.of(bag, str(scene)), RecordedMachine.of(tmp_path / "other_bag", str(second))
+        RecordedMachine.open_run(bag, str(scene)),
+        RecordedMachine.open_run(tmp_path / "other_bag", str(second)),
     )
     assert difference is not None and equal > 1
     # Nothing moves at tick 0, so that friction acts from the first step on.
@@ -248,12 +249,12 @@ def test_another_compiler_makes_no_difference(
     plain: tuple[Path, States], scene: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CXX", "clang++")
-    assert compare(plain[0], str(scene)).difference is None
+    assert compare_bag(plain[0], str(scene)).difference is None
 
 
 def assert_reported(plain: tuple[Path, States], scene: Path, build: str) -> None:
     """The present machine differs first where its states do; its other build is named."""
-    result = compare(plain[0], str(scene))
+    result = compare_bag(plain[0], str(scene))
     (named,) = result.hints[-1:]
     assert named.startswith(f"other builds: {build}")
     first, second = plain[1], again(scene)

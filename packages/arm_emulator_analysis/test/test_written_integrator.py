@@ -12,7 +12,7 @@ from machines import CONFIG
 
 from arm_emulator import Refusal, load_scene
 from arm_emulator.base.io.config_files import BESIDE, check_own
-from arm_emulator.cli.commands.tune import tune
+from arm_emulator.cli.commands.tune import tune_scene
 from arm_emulator.design.new_scene import write_new
 from arm_emulator_analysis.commands.advise import advise as advise_scene
 from arm_emulator_analysis.integrator_text import write_integrator
@@ -132,11 +132,11 @@ def test_shipped_files_are_never_written_into(tmp_path: Path) -> None:
         with pytest.raises(Refusal, match=r"identify: file .* must be one of yours"):
             write_fitted(path, CONFIG / "three_axis.yaml", scene, {}, [], "")
     with pytest.raises(Refusal, match=r"tune: file .* must be one of yours"):
-        tune("three_axis", write=True)
+        tune_scene("three_axis", write=True)
     mine = scene_copy(tmp_path)
     add_demo(mine)  # whose servo's parameters are the shipped ones
     with pytest.raises(Refusal, match=r"tune: file .* must be one of yours"):
-        tune(str(mine), write=True)
+        tune_scene(str(mine), write=True)
     robot = CONFIG / "urdf" / "three_axis.urdf"
     with pytest.raises(Refusal, match=r"new: file .* must be one of yours"):
         write_new(robot, CONFIG, force=True)

@@ -39,7 +39,7 @@ def write_case_bag(campaign: Campaign, simulator: Simulator, case: Case, folder:
         (folder / BAG_SCENE_FILE).write_text(yaml.safe_dump(data, sort_keys=False, width=100))
         try:
             for _ in pieces:
-                bag.report()
+                bag.write_state()
         except Diverged:
             pass  # `check-bag` reports the same
 

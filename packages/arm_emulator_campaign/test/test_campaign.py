@@ -13,7 +13,7 @@ from test_command_line import run as command
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.run_outputs import RunOutputs
 from arm_emulator.base.validation.section import Section
-from arm_emulator.cli.output import output, plain
+from arm_emulator.cli.output import convert_to_plain, output
 from arm_emulator.machine.plant.external_wrench import ExternalWrench
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.runs.gains import load_gains
@@ -410,7 +410,7 @@ def test_a_run_is_driven_again_to_the_last_bit(tmp_path):
     rows = Outcomes.join(list(make_simulator(definition).runs(beside)))
     outputs = RunOutputs(record=record)
     code = campaign(file, replay=17, outputs=outputs)
-    facts = json.loads(json.dumps(plain(output.collected)))
+    facts = json.loads(json.dumps(convert_to_plain(output.collected)))
     assert code == int(facts["failed"]) and bool(facts["missed"]) == facts["failed"]
     assert list(facts["robustness"].values()) == rows.robustness[17].tolist()
     assert list(facts["measures"].values()) == rows.measures[17].tolist()

@@ -7,7 +7,7 @@ from draws import some, with_slow
 from test_campaign import MOVES, written
 from test_campaign_lanes import VARIED, campaign_of
 
-from arm_emulator.bags.comparison import compare
+from arm_emulator.bags.comparison import compare_bag
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.bags.run_bag import RunBag
 from arm_emulator.base.refusal import Refusal
@@ -41,7 +41,7 @@ def test_a_run_is_repeated_from_its_bag_alone(tmp_path: Path, name: str) -> None
         case = draw_case(definition.variation, int(index))
         bag = tmp_path / f"bag_{index}"
         write_case_bag(definition, simulator, case, bag)
-        comparison = compare(bag)
+        comparison = compare_bag(bag)
         assert comparison.difference is None, comparison.difference
         seconds = min(case.seconds, simulator._scenario.seconds)
         assert comparison.tally.states == 1 + count_ticks(seconds, definition.scene.servo_period)
@@ -49,7 +49,7 @@ def test_a_run_is_repeated_from_its_bag_alone(tmp_path: Path, name: str) -> None
             "the faults are in it"
         )
         simulator.run(case)  # as in the campaign: many ticks at a time
-        *_, (_, last) = RecordedTopics(Bag(bag)).read("emulator/joint_states")
+        *_, (_, last) = RecordedTopics(Bag(bag)).read_messages("emulator/joint_states")
         assert list(last.position) == simulator.session.state.q.tolist()
         assert list(last.effort) == simulator.session.state.gear_torque.tolist()
 
@@ -70,7 +70,7 @@ def test_a_fault_that_is_left_out_is_detected(
         definition, Simulator(definition), draw_case(definition.variation, 0), tmp_path / "bag"
     )
     assert kinds.count(MachineEvent.KIND_EXTERNAL_WRENCH) == 2
-    comparison = compare(tmp_path / "bag")
+    comparison = compare_bag(tmp_path / "bag")
     assert comparison.difference is not None and "tick 51" in comparison.difference, (
         "from 0.05 s on"
     )

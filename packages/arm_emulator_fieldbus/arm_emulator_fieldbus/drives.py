@@ -14,7 +14,7 @@ from arm_emulator.extension.machine import (
     Scene,
     list_further_inputs,
     list_modes,
-    withheld_modes,
+    list_withheld_modes,
 )
 from arm_emulator.extension.runs import ServoConfig, ServoRows, check_servo, make_servo_numbers
 from arm_emulator_fieldbus import declared
@@ -76,7 +76,7 @@ class Drives:
         scene = plant.scene
         check_servo(scene, servo)
         self._joints = _make_joints(scene, servo)
-        self.withheld = withheld_modes(scene, servo, modes())
+        self.withheld = list_withheld_modes(scene, servo, modes())
         for loop in self.withheld:
             self._joints["modes"][loop.joint] &= 0xFFFFFFFF ^ 1 << loop.mode.number - 1
         names = [_make_text(name) for name in (*scene.joint_names, scene.name)]

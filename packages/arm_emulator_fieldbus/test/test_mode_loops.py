@@ -15,10 +15,15 @@ from torque_modes import CYCLIC_TORQUE, PROFILE_TORQUE, enabled, faults, swings
 
 from arm_emulator import Plant, Refusal, Scene, load_gains, load_scene
 from arm_emulator.analysis.linear_servo import Loop
-from arm_emulator.analysis.mode_loops import LoopFigure, ModeLoops, withheld_modes, withheld_words
+from arm_emulator.analysis.mode_loops import (
+    LoopFigure,
+    ModeLoops,
+    describe_withheld_modes,
+    list_withheld_modes,
+)
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.base.io.config_files import find_scene
-from arm_emulator.design.joint_gains import GearData, MotorData, design, make_joint_servo
+from arm_emulator.design.joint_gains import GearData, MotorData, compute_gains, make_joint_servo
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator_fieldbus.object_dictionary import Aborted, list_entries, modes
@@ -48,7 +53,7 @@ def by_voltage(more: dict[str, Any] | None = None) -> tuple[Scene, ServoConfig]:
 @pytest.mark.parametrize("name", with_slow(some(SHIPPED, 2), 1))
 def test_every_mode_of_the_shipped_arms_is_offered_and_holds(name: str) -> None:
     scene, servo = shipped(name)
-    assert withheld_modes(scene, servo, modes()) == []
+    assert list_withheld_modes(scene, servo, modes()) == []
     loops = {
         (figure.joint, figure.loop, figure.braked) for figure in ModeLoops(scene, servo).figures
     }
@@ -75,8 +80,8 @@ def test_torques_are_as_requested_on_new_arms() -> None:
             except Refusal:
                 continue  # is no arm
             scene, servo = load_scene(file), load_gains(file).servo
-            withheld = withheld_modes(scene, servo, modes())
-            bad += withheld_words(scene, withheld)
+            withheld = list_withheld_modes(scene, servo, modes())
+            bad += describe_withheld_modes(scene, withheld)
             if not any(loop.mode.number in (PROFILE_TORQUE, CYCLIC_TORQUE) for loop in withheld):
                 bad += list(faults(scene, servo))
         count += 1
@@ -87,7 +92,7 @@ def test_torques_are_as_requested_on_new_arms() -> None:
 @pytest.mark.slow
 def test_modes_that_do_not_hold_are_not_offered_and_refused() -> None:
     scene, servo = by_voltage()
-    withheld = withheld_modes(scene, servo, modes())
+    withheld = list_withheld_modes(scene, servo, modes())
     withheld_of = {(loop.joint, loop.mode.number) for loop in withheld}
     assert withheld_of == {(j, mode) for j in range(6) for mode in (PROFILE_TORQUE, CYCLIC_TORQUE)}
     drives = enabled(scene, servo)
@@ -99,7 +104,7 @@ def test_modes_that_do_not_hold_are_not_offered_and_refused() -> None:
                 drives.write(j, 0x6060, mode)
         drives.period()
         assert drives.read(j, 0x6061) == 8, "it stays in its mode"
-    lines = withheld_words(scene, withheld)
+    lines = describe_withheld_modes(scene, withheld)
     assert len(lines) == 6
     for line in lines:
         assert re.match(
@@ -155,7 +160,7 @@ def draw_drive(rng: np.random.Generator, folder: Path) -> tuple[Scene, ServoConf
     motor = MotorData(counts_per_turn=2**20, current_bandwidth=bandwidth, **numbers)
     inertia = 0.23
     try:
-        gains = design(motor, GearData(**gear), (inertia, inertia), 1e-3, 1.0, 48.0, 20.0)
+        gains = compute_gains(motor, GearData(**gear), (inertia, inertia), 1e-3, 1.0, 48.0, 20.0)
     except Refusal:
         return None
     servo = dataclasses.replace(

@@ -22,7 +22,7 @@ from arm_emulator import (
 )
 from arm_emulator.analysis.servo_loop import ServoLoops
 from arm_emulator.base.io.config_files import find_beside, find_scene
-from arm_emulator.design.tuned import compute, compute_link_inertias, make_data_sheet, run
+from arm_emulator.design.tuned import compute_servo, compute_link_inertias, make_data_sheet, run_move
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.scene.known_parts import MOTORS, SIZED_MOTORS
 from arm_emulator.motion.model.config import load_motion_config
@@ -81,7 +81,7 @@ def machine(kind: str) -> Scene:
 
 def servo_of(scene: Scene) -> ServoConfig:
     """Gains that are computed for it, from the data sheet in its scene."""
-    return compute(scene, describe(scene), compute_link_inertias([scene]))
+    return compute_servo(scene, describe(scene), compute_link_inertias([scene]))
 
 
 def describe(scene: Scene) -> ServoConfig:
@@ -119,7 +119,7 @@ def test_a_motor_that_is_not_sized_is_refused_with_our_servo(kind: type[Motor]) 
 
 def predicted(scene: Scene, servo: ServoConfig, joint: int) -> np.ndarray:
     (loop,) = ServoLoops(scene, servo, at=[scene.start]).loops
-    return loop.step(joint, ROWS + 1)
+    return loop.compute_step_response(joint, ROWS + 1)
 
 
 @pytest.mark.parametrize("kind", with_slow(dict.fromkeys(CASES), 1))
@@ -208,7 +208,7 @@ def test_gains_hold_the_machine_in_motion() -> None:
     errors = {}
     for kind in dict.fromkeys(CASES):
         scene = machine(kind)
-        errors[kind] = float(run(scene, servo_of(scene)).worst.max())
+        errors[kind] = float(run_move(scene, servo_of(scene)).worst.max())
     assert max(errors.values()) < 3.0 * min(errors.values()), errors
 
 

@@ -8,11 +8,11 @@ from draws import FULL, some
 from torque_modes import enabled, faults
 
 from arm_emulator import Kinematics, Refusal, load_gains, load_scene
-from arm_emulator.analysis.mode_loops import withheld_modes
+from arm_emulator.analysis.mode_loops import list_withheld_modes
 from arm_emulator.cli.commands.check_scene import check_scene
-from arm_emulator.cli.commands.tune import tune
+from arm_emulator.cli.commands.tune import tune_scene
 from arm_emulator.design.new_scene import write_new
-from arm_emulator.design.sizing import Demand, size
+from arm_emulator.design.sizing import Demand, size_drives
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.scene.known_parts import SIZED_MOTORS
@@ -36,7 +36,7 @@ def test_every_kind_gives_the_requested_torque(kind: type[Motor]) -> None:
             gravity_torque=10.0, bare_torque=5.0, tool_weight=11.0, tool_inertia=2.1,
             effort=float(rng.uniform(30.0, 200.0)), velocity=float(rng.uniform(1.0, 6.0)),
         )  # fmt: skip
-        supply, (drive,) = size([demand], kind)
+        supply, (drive,) = size_drives([demand], kind)
         joint = drive.joint
         motor = joint.motor
         assert type(motor) is kind and drive.peak_torque == demand.effort
@@ -75,10 +75,10 @@ def test_an_arm_with_it_goes_where_it_is_sent_and_takes_torques(
         assert pair is not None
         motion = move(scene, gains, "50 mm", *pair)
         assert not motion.words, motion.words
-    assert withheld_modes(scene, gains.servo, modes()) == []
+    assert list_withheld_modes(scene, gains.servo, modes()) == []
     if FULL:
         assert list(faults(scene, gains.servo)) == []
-        assert tune(str(written.file), write=True) == 0
+        assert tune_scene(str(written.file), write=True) == 0
         assert load_gains(written.file).servo == gains.servo, "new and tune agree"
     else:
         enabled(scene, gains.servo)

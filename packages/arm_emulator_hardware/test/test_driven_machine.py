@@ -10,7 +10,7 @@ from draws import with_slow
 from test_campaign_machine_faults import SENT
 
 from arm_emulator import load_scene, load_servo_config
-from arm_emulator.cli.commands.servo_header import servo_data_unit
+from arm_emulator.cli.commands.servo_header import make_servo_data_unit
 from arm_emulator.machine.plant.compiler import compile_ahead
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_numbers import make_servo_numbers
@@ -42,7 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The client with what it needs."""
     at = tmp_path_factory.mktemp("driven")
     compile_ahead(load_scene("three_axis", SENT["set"]), "native", at)
-    compile_units([servo_data_unit("three_axis")], "native", at)
+    compile_units([make_servo_data_unit("three_axis")], "native", at)
     compile_client(at, Path(__file__).with_name("driven_machine.cpp"))
     return at
 

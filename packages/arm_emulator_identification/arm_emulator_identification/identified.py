@@ -23,8 +23,8 @@ from arm_emulator.extension.machine import (
     Body,
     Frame,
     Scene,
-    inertial_of,
     load_scene,
+    make_inertial,
     override_keys,
 )
 from arm_emulator_identification import inertia
@@ -290,7 +290,7 @@ def _insert_bodies(scene: Scene, bodies: Mapping[str, Body]) -> str:
         for name in joint.links:
             for old in links[name].findall("inertial"):
                 links[name].remove(old)
-        links[joint.link].insert(0, inertial_of(body, 12))
+        links[joint.link].insert(0, make_inertial(body, 12))
     ET.indent(robot)
     return ET.tostring(robot, encoding="unicode") + "\n"
 

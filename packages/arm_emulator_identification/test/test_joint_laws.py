@@ -45,7 +45,7 @@ def answer(
     more = {"q_link": q_link} if at_link else {}
     np.savez(data, t=record.t, q_mot=record.q_motor, tau=record.tau, **more)
     capsys.readouterr()
-    with output.printed(as_json=True):
+    with output.print_at_end(as_json=True):
         assert identify(str(file), data, fit="joints.*", out=file.parent / "out.yaml") == 0
     numbers = json.loads(capsys.readouterr().out)["numbers"]
     return {number["name"].removeprefix("joints.joint."): number for number in numbers}

@@ -18,7 +18,7 @@ from machines import (
 )
 
 from arm_emulator.analysis.holding import LinkLoads
-from arm_emulator.analysis.sensitivities import numbers_of, sensitivities
+from arm_emulator.analysis.sensitivities import list_varied_numbers, sensitivities
 from arm_emulator.machine.plant.external_wrench import ExternalWrench
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.scene.scene import load_scene
@@ -160,7 +160,7 @@ def test_derivatives_of_a_tree_are_those_of_its_motion(tmp_path: Path) -> None:
              f"links.{scene.chain.links[-1].link}.mass"]  # fmt: skip
     of = sensitivities(scene, rows, names)
     for i, name in enumerate(names):
-        value, varied = numbers_of(scene)[name].value, load_scene(file, {"varied": [name]})
+        value, varied = list_varied_numbers(scene)[name].value, load_scene(file, {"varied": [name]})
         ends = []
         for share in (1e-4, -1e-4):
             fleet = Fleet(varied, 1, varied={name: np.array([value * (1.0 + share)])})
@@ -215,8 +215,8 @@ def test_loads_regressors_and_places_of_a_tree_are_those_of_pinocchio(
     still = np.zeros(8)
     for k in range(5):
         M, nle = oracle.mass_matrix(q[k]), oracle.nle(q[k], v[k])
-        assert relative(loads.mass_matrix(q[k]), M) < TOLERANCE, "mass matrix"
-        assert relative(loads.weight(q[k]), oracle.nle(q[k], still)) < TOLERANCE, "weight"
+        assert relative(loads.compute_mass_matrix(q[k]), M) < TOLERANCE, "mass matrix"
+        assert relative(loads.compute_weight(q[k]), oracle.nle(q[k], still)) < TOLERANCE, "weight"
         assert relative(tau[k], M @ a[k] + nle) < TOLERANCE, "torques"
     for link in scene.chain.carried:
         tool = dataclasses.replace(scene, tool=link)

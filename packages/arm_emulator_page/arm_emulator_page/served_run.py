@@ -23,7 +23,7 @@ def serve_run(line: Timeline[OfflineRun], at: str) -> None:
     terms = TorqueTerms(session.scene)
 
     def explained() -> tuple[TermsNow, list[str]]:
-        return terms.of(session.plant.save(), session.measured.applied), []
+        return terms.evaluate_torques(session.plant.save(), session.measured.applied), []
 
     page = RunPage(RunView.of(line, line.newest), explained, at)
     try:
@@ -32,7 +32,7 @@ def serve_run(line: Timeline[OfflineRun], at: str) -> None:
         WhatIf(page, line)
     else:
         WhatIf(page, line, write_timeline)
-    output.line(page.url)
+    output.print_line(page.url)
     with contextlib.suppress(KeyboardInterrupt):
         threading.Event().wait()
     page.close()

@@ -50,7 +50,7 @@ def advise(
             scene's demo and motions of many kinds).
         write: put the result into the scene file.
     """
-    console = output.console()
+    console = output.make_console()
     file = find_scene(scene)
     check_error(error)
     if write:
@@ -62,7 +62,7 @@ def advise(
     with console.status(f"trying schemes, events and steps on {about}"):
         advice = settings_for(judge, error)
     console.print(f"scene {machine.name}, {about}; wanted: error <= {error:g} rad or m on the way")
-    output.facts({
+    output.add_facts({
         "scene": machine.name, "judged_on": about, "error": error, "settings": advice.settings,
         "now": advice.now, "why_none": advice.why_none,
     })  # fmt: skip
@@ -79,7 +79,7 @@ def advise(
     if write:
         write_integrator(file, best.method, best.dt)
         console.print(f"written into {file}")
-    output.facts({"written": file if write else None})
+    output.add_facts({"written": file if write else None})
     return 0
 
 
@@ -126,7 +126,7 @@ def record_demo_commands(scene: Scene, file: Path) -> Array | None:
     rows: list[Array] = []
     try:
         gains = load_gains(file)
-        plan = DemoPlan.load(file, round(gains.motion.period * NANOSECONDS))
+        plan = DemoPlan.load_plan(file, round(gains.motion.period * NANOSECONDS))
         run = OfflineRun(fine, gains.servo, gains.motion)
     except Refusal:
         return None
@@ -161,7 +161,7 @@ def _print(advice: Advice) -> None:
         cost = f"{setting.cost * 1e6:.0f}" if math.isfinite(setting.cost) else "diverges"
         rows.append((label, str(setting.method), f"{setting.dt:.6g}", *errors, cost))
     heads = "", "setting", "dt [s]", "error, judged", "others", "us per second"
-    output.table(heads, rows, left=2)
+    output.print_table(heads, rows, left=2)
 
 
 def read_commands(path: Path, scene: Scene) -> Array:
@@ -193,7 +193,7 @@ def _read_bag(path: Path, scene: Scene) -> Array:
     # It needs ROS, which is optional here.
     from arm_emulator.extension.bags import RecordedMachine
 
-    rows = np.array([tick.applied for tick in RecordedMachine.of(path, scene).ticks[1:]])
+    rows = np.array([tick.applied for tick in RecordedMachine.open_run(path, scene).ticks[1:]])
     if not len(rows):
         raise Refusal(str(path), "bag", "have motor_states of two ticks at least", "one")
     further = rows[:, 1:].swapaxes(0, 1)

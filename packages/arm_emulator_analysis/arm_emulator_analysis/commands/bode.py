@@ -77,16 +77,16 @@ def bode(
         listed = (
             _format_frequencies(values) for values in (response.antiresonances, response.resonances)
         )
-        output.line("{:{}}  antiresonances {:24} resonances {}".format(name, width, *listed))
+        output.print_line("{:{}}  antiresonances {:24} resonances {}".format(name, width, *listed))
     for file, write in ((picture, _draw), (table, _write)):
         if file is not None:
             try:
                 write(machine, responses, file)
             except (OSError, ValueError) as error:
                 raise Refusal("bode", str(file), "be writable", error) from None
-            output.line(str(file))
+            output.print_line(str(file))
     units = {joint.name: joint.unit for joint in machine.joints}
-    output.facts({
+    output.add_facts({
         "scene": machine.name, "pose": linear.x0[linear.q], "frequency": frequency[ROWS],
         "joints": {name: _list_facts(of, units[name]) for name, of in responses.items()},
     })  # fmt: skip
@@ -101,25 +101,25 @@ def _list_modes(name: str, machine: Scene, q: Array) -> None:
     check_servo(machine, servo)
     modes = find_vibration_modes(plant, servo, q)
     if not modes:
-        output.line("under its servos no mode swings")
+        output.print_line("under its servos no mode swings")
     rows = [
         (f"{mode.frequency:.2f}", f"{mode.damping:.3f}", f"{1e3 * mode.swing:.2g}")
         for mode in modes[:MODES]
     ]
     heads = "Hz", "damping", "tool, mm per m/s² that begins at once"
-    output.table(heads, rows, title="modes under the servos")
+    output.print_table(heads, rows, title="modes under the servos")
     firsts = [find_vibration_modes(plant, servo, pose)[:1] for pose in draw_poses(machine)]
     frequencies = [first[0].frequency for first in firsts if first]
     ends = [min(frequencies), max(frequencies)] if frequencies else None
     if ends is not None:
-        output.line(f"the first over {len(firsts)} poses: {ends[0]:.3g} to {ends[1]:.3g} Hz")
-        output.line("for the motion controller's file:")
-        output.line("    shaper: zvd\n    modes:")
+        output.print_line(f"the first over {len(firsts)} poses: {ends[0]:.3g} to {ends[1]:.3g} Hz")
+        output.print_line("for the motion controller's file:")
+        output.print_line("    shaper: zvd\n    modes:")
         for count, mode in enumerate(modes[:SHAPED], 1):
             numbers = f"{{frequency: {mode.frequency:.4g}, damping: {mode.damping:.3g}}}"
-            output.line(f"      mode_{count}: {numbers}")
+            output.print_line(f"      mode_{count}: {numbers}")
     facts = [{"frequency": m.frequency, "damping": m.damping, "swing": m.swing} for m in modes]
-    output.facts({"modes": facts, "range": ends})
+    output.add_facts({"modes": facts, "range": ends})
 
 
 def _format_frequencies(frequencies: np.ndarray) -> str:

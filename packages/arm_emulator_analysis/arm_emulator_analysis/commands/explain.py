@@ -71,12 +71,12 @@ def explain(
         run: which run of the bag, from 1 on (default: the last).
         other_run: likewise of the other bag.
     """
-    machine = RecordedMachine.of(bag, scene, run)
+    machine = RecordedMachine.open_run(bag, scene, run)
     if other is not None:
         if at is not None or when is not None or stop is not None:
             rule = "stand without a second bag"
             raise Refusal("explain", "--at, --when and --stop", rule, "both")
-        second = RecordedMachine.of(other, other_scene or scene, other_run)
+        second = RecordedMachine.open_run(other, other_scene or scene, other_run)
         return _compare((bag.name, other.name), machine, second)
     if stop is not None:
         if when is not None:
@@ -88,8 +88,8 @@ def explain(
     machine.advance(_find_tick(machine, 0.0 if at is None else at))
     if when is not None and not _is_satisfied(machine, Condition(when, machine.scene, "explain")):
         last = machine.last * machine.scene.servo_period
-        output.line(f"it never holds, up to {last:g} s: {when}")
-        output.facts({"scene": machine.scene.name, "tick": None})
+        output.print_line(f"it never holds, up to {last:g} s: {when}")
+        output.add_facts({"scene": machine.scene.name, "tick": None})
         return 1
     _print(machine.scene, explain_moment(machine))
     return 0
@@ -108,19 +108,19 @@ def _print_stop(machine: RecordedMachine, band: float, end: int | None) -> int:
     """Print the vibration of the tool after the last targets of a run, or from a tick on."""
     tick, *stops = measure_stop(machine, band, end)
     scene, sources = machine.scene, ("truth", "encoders")
-    output.line(f"scene {scene.name}: the tool after {tick * scene.servo_period:g} s")
+    output.print_line(f"scene {scene.name}: the tool after {tick * scene.servo_period:g} s")
     rows = [
         (name, *(f"{1e3 * v:.4f}" for v in (stop.largest, stop.swing, stop.rms)),
          "-" if math.isnan(stop.frequency) else f"{stop.frequency:.2f}", f"{stop.settled:.3f}")
         for name, stop in zip(sources, stops, strict=True)
     ]  # fmt: skip
     heads = ("tool by", "largest, mm", "swing, mm", "rms, mm", "Hz", f"within {1e3 * band:g} mm, s")
-    output.table(heads, rows)
+    output.print_table(heads, rows)
     facts = [dataclasses.asdict(stop) for stop in stops]
     for fact in facts:
         fact["frequency"] = None if math.isnan(fact["frequency"]) else fact["frequency"]
     by_source = dict(zip(sources, facts, strict=True))
-    output.facts({"scene": scene.name, "tick": tick, **by_source})
+    output.add_facts({"scene": scene.name, "tick": tick, **by_source})
     return 0
 
 
@@ -129,28 +129,30 @@ def _compare(names: tuple[str, str], first: RecordedMachine, second: RecordedMac
     start = first.save()
     difference, equal = find_first_difference(first, second)
     builds = list_differing_builds(names, first.topics.build, second.topics.build)
-    output.facts({"sides": names, "equal_ticks": equal, "difference": None, "builds": builds})
+    output.add_facts({"sides": names, "equal_ticks": equal, "difference": None, "builds": builds})
     for sentence in builds:
-        output.line(f"other builds: {sentence}")
+        output.print_line(f"other builds: {sentence}")
     if difference is None:
-        output.line(f"equal to the last bit in what both have recorded: {equal} ticks")
+        output.print_line(f"equal to the last bit in what both have recorded: {equal} ticks")
         return 0
     t = difference.tick * first.scene.servo_period
-    output.line(f"first difference: tick {difference.tick}, {t:g} s, after {equal} equal ticks")
+    output.print_line(
+        f"first difference: tick {difference.tick}, {t:g} s, after {equal} equal ticks"
+    )
     owner = f"{difference.owner}, " if difference.owner else ""
     ulps = difference.ulps
     many = "" if ulps is None else f", {ulps} representable number{'s' * (ulps > 1)} apart"
-    output.line(f"{difference.kind}: {owner}{difference.quantity}{many}")
+    output.print_line(f"{difference.kind}: {owner}{difference.quantity}{many}")
     for name, value in zip(names, difference.values, strict=True):
-        output.line(f"  {name}: {value!r}")
-    output.facts({"difference": {**difference._asdict(), "ulps": ulps}})
+        output.print_line(f"  {name}: {value!r}")
+    output.add_facts({"difference": {**difference._asdict(), "ulps": ulps}})
     first.restore(start)
     try:
         first.advance(max(0, difference.tick - (difference.kind == "state")))
     except Diverged as fault:
-        output.line(str(fault))
+        output.print_line(str(fault))
         return 1
-    output.line(f"the moment from which it comes, of {names[0]}:")
+    output.print_line(f"the moment from which it comes, of {names[0]}:")
     _print(first.scene, explain_moment(first))
     return 1
 
@@ -166,9 +168,9 @@ def _is_satisfied(machine: RecordedMachine, condition: Condition) -> bool:
 def _print(scene: Scene, now: Explanation) -> None:
     """Print a moment as tables, a column per joint."""
     names = scene.joint_names
-    output.line(f"scene {scene.name}, tick {now.tick}, {now.t:g} s of logical time")
+    output.print_line(f"scene {scene.name}, tick {now.tick}, {now.t:g} s of logical time")
     if now.orders:
-        output.line(f"motion controller: {now.orders}")
+        output.print_line(f"motion controller: {now.orders}")
     _print_table("", names, {TITLES[key]: row for key, row in now.rows.items()})
     if now.flow is not None:
         _print_table(
@@ -181,10 +183,10 @@ def _print(scene: Scene, now: Explanation) -> None:
         sums = {"sum": np.nansum(table, axis=0)} if "inertia" in terms else {}
         _print_table(f"torques on each {title} [N m or N]", names, {**terms, **sums})
     for line in now.active:
-        output.line(line)
+        output.print_line(line)
     if now.rows["applied"] is None:
-        output.line("the record ends here: torques are those without a command")
-    output.facts(_list_facts(scene, now))
+        output.print_line("the record ends here: torques are those without a command")
+    output.add_facts(_list_facts(scene, now))
 
 
 def _print_table(title: str, names: tuple[str, ...], rows: dict[str, Array | None]) -> None:
@@ -196,8 +198,8 @@ def _print_table(title: str, names: tuple[str, ...], rows: dict[str, Array | Non
         for name, row in rows.items()
         if row is not None
     )
-    output.line("")
-    output.table((title, *names), cells)
+    output.print_line("")
+    output.print_table((title, *names), cells)
 
 
 def _list_facts(scene: Scene, now: Explanation) -> dict[str, Any]:

@@ -153,15 +153,17 @@ def campaign(
     else:
         print_findings(findings, compute_digest(columns), summary.count, results.folder)
     if summary.count or findings:
-        output.line(f"report  {write_report(definition, results, columns, summary, findings)}")
+        output.print_line(
+            f"report  {write_report(definition, results, columns, summary, findings)}"
+        )
     if interrupted:
-        output.line("interrupted: the same command goes on with what is missing")
+        output.print_line("interrupted: the same command goes on with what is missing")
         return 130
     fails = [share.name for share in summary.shares if share.hits and summary.count == 1]
     missed = f"the only run fails {', '.join(fails)}" if fails and definition.search is None else ""
     if not summary.count and not findings:
         missed = "it has ended before the first run"
-    return output.judge("campaign", missed)
+    return output.report_miss("campaign", missed)
 
 
 def _read_devices(
@@ -216,13 +218,13 @@ def _print_cost(definition: Campaign, seconds: float, ready: float, workers: int
     )
     size = count * len(list_column_units(definition)) * BYTES_PER_NUMBER
     wall = count * seconds / workers + ready
-    output.facts({"count": count, "per_run": seconds, "estimate": wall, "bytes": size})
-    output.line(
+    output.add_facts({"count": count, "per_run": seconds, "estimate": wall, "bytes": size})
+    output.print_line(
         f"campaign {definition.file.name}: {bound}{count} runs of {scenario.seconds:g} s of "
         f"{definition.scene.name}, {len(definition.variation.numbers)} numbers vary, "
         f"{len(definition.requirements)} requirements"
     )
-    output.line(
+    output.print_line(
         f"a run takes {_format_time(seconds)} ({scenario.seconds / seconds:.0f} times real time); "
         f"all with {workers} workers {bound}{_format_time(wall)}, {_format_bytes(size)}"
     )
@@ -261,7 +263,7 @@ def _simulate(
 @contextmanager
 def _show_progress() -> Iterator[Callable[[CampaignProgress], None]]:
     """Within, the progress is shown: a bar in a terminal, else a line now and then."""
-    console = output.console()
+    console = output.make_console()
     if not console.is_terminal:
         yield _print_progress()
         return
@@ -285,7 +287,9 @@ def _print_progress() -> Callable[[CampaignProgress], None]:
     def show(now: CampaignProgress) -> None:
         if time.monotonic() - last[0] >= 10.0:
             last[0] = time.monotonic()
-            output.line(f"{now.before + now.done} of {now.count} runs, {_format_progress(now)}")
+            output.print_line(
+                f"{now.before + now.done} of {now.count} runs, {_format_progress(now)}"
+            )
 
     return show
 
@@ -298,13 +302,13 @@ def _format_progress(now: CampaignProgress) -> str:
 def _print(summary: Summary, digest: str, folder: Path) -> None:
     percent = f"{100 * summary.confidence:g} %"
     for share in summary.shares if summary.count else ():
-        output.line(
+        output.print_line(
             f"{share.name:<20} fails in {share.hits} of {summary.count}: "
             f"{100 * share.share:.4g} %, within "
             f"{100 * share.low:.4g} and {100 * share.high:.4g} % ({percent} confidence)"
         )
-    output.line(f"digest  {digest}")
-    output.facts({
+    output.print_line(f"digest  {digest}")
+    output.add_facts({
         "count": summary.count, "shares": summary.shares, "quantiles": summary.quantiles,
         "confidence": summary.confidence, "digest": digest, "results": str(folder),
         "arithmetic": ARITHMETIC,
@@ -317,23 +321,23 @@ def _replay(
     """Simulate a run again: judged as in the campaign, then once more for who records it."""
     outcome = make_simulator(definition).run(case)
     for name, value in outcome.values.items():
-        output.line(f"{name:<44} {value!r}")
+        output.print_line(f"{name:<44} {value!r}")
     for name, value in outcome.robustness.items():
-        output.line(f"{name:<44} {'holds' if value >= 0.0 else 'FAILS'} by {abs(value):.6g}")
+        output.print_line(f"{name:<44} {'holds' if value >= 0.0 else 'FAILS'} by {abs(value):.6g}")
     for name, value in outcome.measures.items():
-        output.line(f"{name:<44} {value:.6g}")
-    output.facts({
+        output.print_line(f"{name:<44} {value:.6g}")
+    output.add_facts({
         "index": case.index, "values": outcome.values, "robustness": outcome.robustness,
         "measures": outcome.measures, "failed": outcome.has_failed,
     })  # fmt: skip
     recorded = outputs != KEEP_NOTHING or page is not None
-    code = output.judge("campaign", _describe_failures(outcome))
+    code = output.report_miss("campaign", _describe_failures(outcome))
     if bag is None and not recorded:
         return code
     simulator = Simulator(definition)
     if bag is not None:
         write_case_bag(definition, simulator, case, bag)
-        output.line(f"wrote   {bag}")
+        output.print_line(f"wrote   {bag}")
     if recorded:
         record_case(simulator, case, outputs, page)
     return code
@@ -410,7 +414,7 @@ def record_case(
             for _ in pieces:
                 pass
         except Diverged as fault:
-            output.line(str(fault))
+            output.print_line(str(fault))
         if page is not None:
             wait_for_ctrl_c()
 
@@ -418,11 +422,11 @@ def record_case(
 def print_findings(findings: Sequence[Finding], digest: str, count: int, folder: Path) -> None:
     """Print what a search found."""
     for finding in findings:
-        output.line(finding.about)
+        output.print_line(finding.about)
         if finding.rows:
-            output.table(finding.head, finding.format_rows(), left=len(finding.head))
-    output.line(f"digest  {digest}")
-    output.facts({
+            output.print_table(finding.head, finding.format_rows(), left=len(finding.head))
+    output.print_line(f"digest  {digest}")
+    output.add_facts({
         "findings": [asdict(finding) for finding in findings], "count": count, "digest": digest,
         "results": str(folder),
     })  # fmt: skip
@@ -431,17 +435,17 @@ def print_findings(findings: Sequence[Finding], digest: str, count: int, folder:
 def print_shrunk(definition: Campaign, case: Case, into: Path) -> int:
     """Shrink a run that fails, write it, and print what is left of it."""
     shrunk = shrink(definition, case)
-    output.line(f"run {case.index} fails {shrunk.requirement} by {-shrunk.before:.6g}")
+    output.print_line(f"run {case.index} fails {shrunk.requirement} by {-shrunk.before:.6g}")
     for name, value in shrunk.changes.items():
         nominal = next(
             number.nominal for number in definition.variation.numbers if number.name == name
         )
-        output.line(f"  {name:<42} {value:.6g} in the place of {nominal:.6g}")
+        output.print_line(f"  {name:<42} {value:.6g} in the place of {nominal:.6g}")
     for name in shrunk.faults:
-        output.line(f"  fault {name}")
+        output.print_line(f"  fault {name}")
     if not shrunk.changes and not shrunk.faults:
-        output.line("  it fails without any change")
-    output.line(
+        output.print_line("  it fails without any change")
+    output.print_line(
         f"  {shrunk.seconds:.6g} s, fails by {-shrunk.margin:.6g}, {shrunk.runs} runs tried"
     )
     file = write_shrunk(definition, shrunk, into / f"shrunk_{case.index}")
@@ -449,8 +453,8 @@ def print_shrunk(definition: Campaign, case: Case, into: Path) -> int:
     if margin >= 0.0:
         rule = f"fail {shrunk.requirement} when it is simulated again"
         raise Refusal("campaign", str(file), rule, f"holds by {margin:g}")
-    output.line(f"wrote   {file}")
-    output.facts({
+    output.print_line(f"wrote   {file}")
+    output.add_facts({
         "index": case.index, "requirement": shrunk.requirement, "changes": shrunk.changes,
         "faults": shrunk.faults, "seconds": shrunk.seconds, "margin": margin,
         "runs": shrunk.runs, "campaign": file,

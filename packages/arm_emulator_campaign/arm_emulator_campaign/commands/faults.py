@@ -38,13 +38,13 @@ def faults(
         well = f"{number.default:g} {number.unit.removesuffix('1')}".rstrip()
         low, high = number.ends
         rows.append((fault.name, there, well, f"{low:g} to {high:g}", fault.kind.text))
-    output.line(f"faults of {machine.name}; {len(listed)} are listed in {machine.where}")
+    output.print_line(f"faults of {machine.name}; {len(listed)} are listed in {machine.where}")
     # Without a table's frame and folding: for `grep`, and for narrow terminals.
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        output.line("  ".join(cells).rstrip())
-    output.facts(
+        output.print_line("  ".join(cells).rstrip())
+    output.add_facts(
         {
             "scene": machine.name,
             "faults": [
@@ -71,7 +71,9 @@ def _try_faults(scene: str, folder: Path) -> int:
     for row in find_worst(rows):
         after = "" if row.after != row.after else f" after {1e3 * row.after:.0f} ms"
         detection = f"{row.detected_by}{after}"
-        output.line(f"{row.fault:<40} {detection:<32} tool {1e3 * row.travel:.3g} mm off its way")
-    output.line(f"matrix  {folder / 'faults.csv'}, {folder / 'faults.png'}")
-    output.facts({"scene": scene, "matrix": rows})
+        output.print_line(
+            f"{row.fault:<40} {detection:<32} tool {1e3 * row.travel:.3g} mm off its way"
+        )
+    output.print_line(f"matrix  {folder / 'faults.csv'}, {folder / 'faults.png'}")
+    output.add_facts({"scene": scene, "matrix": rows})
     return 0

@@ -38,7 +38,7 @@ def change_gains(servo: ServoConfig, controller: Section, where: str) -> ServoCo
     joints = controller.get_section("joints")
     for joint in () if joints is None else joints.list_keys():
         section = joints.require_section(joint)  # type: ignore[union-attr]
-        for key in section.keys():
+        for key in section.list_keys():
             name = f"controller.joints.{joint}.{key}"
             servo = change_gain(servo, name, section.read_value(key), where)
     return servo

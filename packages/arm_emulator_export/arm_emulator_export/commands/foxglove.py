@@ -42,8 +42,8 @@ def foxglove(scene: SceneName, file: Path, /, *, namespace: str = "") -> int:
     except OSError as error:
         raise Refusal("foxglove", f"file {file}", "be writable", error.strerror) from None
     panels = layout["configById"]
-    output.line(f"{file}: {len(panels)} panels")
-    output.facts({"file": file, "panels": list(panels)})
+    output.print_line(f"{file}: {len(panels)} panels")
+    output.add_facts({"file": file, "panels": list(panels)})
     return 0
 
 

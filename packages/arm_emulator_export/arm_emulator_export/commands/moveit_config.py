@@ -39,6 +39,6 @@ def moveit_config(
         except OSError as error:
             raise Refusal("moveit-config", f"file {path}", "be writable", error.strerror) from None
     for path in (*libraries, *(folder / name for name in texts)):
-        output.line(str(path))
-    output.facts({"package": folder, "libraries": libraries, "files": list(texts)})
+        output.print_line(str(path))
+    output.add_facts({"package": folder, "libraries": libraries, "files": list(texts)})
     return 0

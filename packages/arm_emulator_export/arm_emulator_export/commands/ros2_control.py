@@ -7,7 +7,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from arm_emulator.extension.base import Refusal, find_scene
-from arm_emulator.extension.commands import SceneName, command, output, servo_data_unit
+from arm_emulator.extension.commands import SceneName, command, make_servo_data_unit, output
 from arm_emulator.extension.compiler import compile_units, name_stem
 from arm_emulator.extension.machine import Scene, compile_ahead, load_scene
 from arm_emulator_export import control_files
@@ -40,10 +40,10 @@ def ros2_control(
         except OSError as error:
             raise Refusal("ros2-control", f"file {path}", "be writable", error.strerror) from None
     for path in (*libraries, *(path for path, _ in written.values())):
-        output.line(str(path))
+        output.print_line(str(path))
     facts = {name: path for name, (path, _) in written.items()}
-    output.facts({"libraries": libraries, **facts})
-    output.facts({"update_rate": control_files.update_rate(machine)})
+    output.add_facts({"libraries": libraries, **facts})
+    output.add_facts({"update_rate": control_files.update_rate(machine)})
     return 0
 
 
@@ -53,7 +53,7 @@ def compile_drives(scene: str, machine: Scene, into: Path) -> list[Path]:
     Libraries of an earlier state of the scene are removed, so that its name means one machine.
     """
     libraries = compile_ahead(machine, "native", into)
-    libraries += compile_units([servo_data_unit(scene)], "native", into)
+    libraries += compile_units([make_servo_data_unit(scene)], "native", into)
     ours = re.compile(re.escape(name_stem(machine.name)) + r"(-servo)?-[0-9a-f]+\.so")
     for file in into.iterdir():
         if ours.fullmatch(file.name) and file.name not in {library.name for library in libraries}:

@@ -24,7 +24,7 @@ from arm_emulator.extension.commands import (
     output,
     serve_controls,
 )
-from arm_emulator.extension.machine import Plant, load_scene, withheld_words
+from arm_emulator.extension.machine import Plant, describe_withheld_modes, load_scene
 from arm_emulator.extension.runs import Recorder, load_gains
 from arm_emulator_fieldbus.can_bus import Bus, BusService, open_bus
 from arm_emulator_fieldbus.can_server import CanServer
@@ -113,11 +113,11 @@ def canopen(
             joint: node.number
             for node, joint in zip(segment.nodes, machine.joint_names, strict=True)
         }
-        output.facts({"scene": machine.name, "bus": name, "clock": clock, "nodes": nodes})
+        output.add_facts({"scene": machine.name, "bus": name, "clock": clock, "nodes": nodes})
         print(f"canopen: scene {machine.name}, {name}, clock {clock}")
         for joint, number in nodes.items():
             print(f"canopen: node {number}: {joint}")
-        for line in withheld_words(machine, withheld):
+        for line in describe_withheld_modes(machine, withheld):
             print(f"canopen: {line}")
         period = None if lockstep else round(machine.servo_period * 1e9)
         try:
@@ -126,7 +126,7 @@ def canopen(
                 print("canopen: ready", flush=True)
                 BusService(on, segment, period).serve(server.poll_requests)
         finally:
-            output.facts({"ignored": on.ignored})
+            output.add_facts({"ignored": on.ignored})
             if on.ignored:
                 print(f"canopen: {on.ignored} times something came that was no frame of ours")
     return 0
@@ -147,7 +147,7 @@ def write_eds(scene_name: str, folder: Path) -> int:
             file.write_text(data_sheet(node, file.name, f"{scene.name} {joint}"), encoding="utf-8")
         except OSError as error:
             raise Refusal("canopen", f"file {file}", "be writable", error.strerror) from None
-        output.line(str(file))
+        output.print_line(str(file))
         files.append(file)
-    output.facts({"files": files})
+    output.add_facts({"files": files})
     return 0

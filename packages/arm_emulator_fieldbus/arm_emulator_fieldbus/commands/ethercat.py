@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from arm_emulator.extension.base import KEEP_NOTHING, Refusal, find_scene, print_warnings
 from arm_emulator.extension.commands import Keep, PageAt, SceneName, command, output, serve_controls
 from arm_emulator.extension.compiler import CData
-from arm_emulator.extension.machine import Scene, load_scene, withheld_words
+from arm_emulator.extension.machine import Scene, describe_withheld_modes, load_scene
 from arm_emulator.extension.runs import Recorder, load_gains
 from arm_emulator_fieldbus.esi import make_esi as description_of
 from arm_emulator_fieldbus.ethercat import Segment
@@ -59,10 +59,10 @@ def ethercat(
         policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK  # not for recorder and page
         os.sched_setscheduler(0, policy, os.sched_param(50))
     clock = "realtime" if realtime else "lockstep"
-    output.facts({"scene": machine.name, "clock": clock, "slaves": joints})
+    output.add_facts({"scene": machine.name, "clock": clock, "slaves": joints})
     print(f"ethercat: scene {machine.name}, clock {clock}")
     print(f"ethercat: slaves: {', '.join(joints)}")
-    for line in withheld_words(machine, withheld):
+    for line in describe_withheld_modes(machine, withheld):
         print(f"ethercat: {line}")
     with contextlib.suppress(OSError, ValueError):
         flags = int(Path(f"/sys/class/net/{interface}/flags").read_text(), 16)
@@ -92,7 +92,7 @@ def write_esi(scene_name: str, file: Path) -> int:
         file.write_text(description_of(segment.drives), encoding="utf-8")
     except OSError as error:
         raise Refusal("ethercat", f"the file {file}", "be writable", error.strerror) from None
-    output.facts({"file": file})
+    output.add_facts({"file": file})
     return 0
 
 
@@ -105,7 +105,7 @@ def _load_segment(scene_name: str, lockstep: bool) -> tuple[Scene, Segment]:
 
 
 def _report_figures(figures: CData, lockstep: bool) -> None:
-    output.facts({"figures": {name: getattr(figures, name) for name in FIGURES}})
+    output.add_facts({"figures": {name: getattr(figures, name) for name in FIGURES}})
     print(f"frames            {figures.frames}, of which with all process data {figures.exchanges}")
     print(f"servo periods     {figures.periods}")
     if not lockstep:

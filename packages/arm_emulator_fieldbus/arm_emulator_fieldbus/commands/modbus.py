@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from arm_emulator.extension.base import KEEP_NOTHING, Refusal
-from arm_emulator.extension.commands import Keep, PageAt, SceneName, command, output, served_session
+from arm_emulator.extension.commands import Keep, PageAt, SceneName, command, output, serve_session
 from arm_emulator.extension.machine import load_scene
 from arm_emulator_fieldbus.converter import RegisterConverter, list_blocks
 from arm_emulator_fieldbus.modbus_line import ModbusLine
@@ -60,12 +60,12 @@ def modbus(
     errors = LineErrors(error_rate, seed)
     machine = load_scene(scene)
     with (
-        served_session(machine, clock, outputs, page) as session,
+        serve_session(machine, clock, outputs, page) as session,
         contextlib.closing(SerialPort(baud, link)) as port,
     ):
         converter = RegisterConverter(session, watchdog)
         at = f"{port.path}{f' ({link})' if link else ''}"
-        output.facts({
+        output.add_facts({
             "scene": machine.name, "port": port.path, "link": link, "station": station,
             "baud": baud, "clock": clock,
         })  # fmt: skip
@@ -92,6 +92,6 @@ def _print_registers(scene: str) -> int:
         access = "rw" if block.writable else "r"
         per = f" [{block.per} per joint]" if block.per else ""
         text = f"{where:<16} {access:<3} {block.kind:<8} {block.name}{per}, {block.unit}"
-        output.line(text.rstrip(", "))
-    output.facts({"registers": table})
+        output.print_line(text.rstrip(", "))
+    output.add_facts({"registers": table})
     return 0

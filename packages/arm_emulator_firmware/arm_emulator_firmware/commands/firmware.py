@@ -24,11 +24,11 @@ from arm_emulator.extension.commands import (
     TargetFile,
     When,
     command,
-    ctrl_c_ends_at_once,
+    count_ticks,
+    end_at_ctrl_c,
     output,
     report_run,
     serve_controls,
-    ticks_of,
     wait_for_ctrl_c,
 )
 from arm_emulator.extension.machine import Diverged, explain_divergence, load_scene
@@ -87,7 +87,7 @@ def firmware(
     table = None if targets is None else load_target_table(targets, machine.joint_names, check)
     if seconds is None:
         seconds = (table.seconds if table else None) or 10.0
-    ticks = ticks_of(seconds, machine)
+    ticks = count_ticks(seconds, machine)
     if gdb is not None and not 0 < gdb < 65536:
         raise Refusal("firmware", "--gdb", "be a port from 1 to 65535", gdb)
     if stop_when is not None and gdb is None:
@@ -104,7 +104,7 @@ def firmware(
         server = open_.enter_context(
             serve_controls(table_run.session.plant, page, steps=True, waits=True)
         )
-        with ctrl_c_ends_at_once():
+        with end_at_ctrl_c():
             if gdb is not None:
                 _wait_for_gdb(chip, gdb, firmware)
             started = time.perf_counter()
@@ -112,7 +112,7 @@ def firmware(
                 server.advance_ticks(table_run.advance, ticks)
             except (Diverged, FirmwareEnd) as fault:
                 print(explain_divergence(fault), file=sys.stderr)
-                output.facts({"scene": machine.name, "failed": explain_divergence(fault)})
+                output.add_facts({"scene": machine.name, "failed": explain_divergence(fault)})
                 return 1
         wall = time.perf_counter() - started
         target = None if table is None else find_last_target(machine, table, ticks)
@@ -122,7 +122,7 @@ def firmware(
         figures = chip.figures
         awake = 1.0 - figures.asleep / figures.cycles if figures.cycles else 0.0
         each = figures.instructions / ticks
-        output.facts({
+        output.add_facts({
             "failed": None, "instructions_per_period": each, "awake": awake,
             "faults": figures.faults, "resets": figures.resets,
             "first_fault": chip.fault if figures.faults else None,
@@ -136,7 +136,7 @@ def firmware(
             print(f"first fault       {chip.fault}")
         if page is not None:
             wait_for_ctrl_c()
-        return output.judge("firmware", missed)
+        return output.report_miss("firmware", missed)
 
 
 def _wait_for_gdb(chip: Microcontroller, port: int, elf: Path) -> None:

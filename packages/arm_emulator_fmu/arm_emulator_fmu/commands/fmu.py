@@ -36,11 +36,11 @@ def fmu(
     print_warnings(*machine.warnings)
     export(machine, out, target or TARGET, fmi, windows)
     parameters = f", {len(machine.varied)} parameters" if machine.varied else ""
-    output.line(
+    output.print_line(
         f"{out}: FMI {fmi}.0 co-simulation, {len(machine.joints)} joints{parameters}; "
         f"a servo period of {machine.servo_period:g} s"
     )
-    output.facts({
+    output.add_facts({
         "file": out, "fmi": f"{fmi}.0", "joints": machine.joint_names,
         "parameters": machine.varied, "period": machine.servo_period,
     })  # fmt: skip

@@ -93,8 +93,8 @@ def accuracy(
     test = AccuracyTest(cycles, centre, edge, dwell, directions, fit, held, tracker, angle, seed)
     with show_stages() as stage:
         size, before, calibrated, after = measure_accuracy(machine, gains, test, stage, out)
-    output.facts({"scene": machine.name, "edge": size, "cycles": cycles})
-    console = output.console(110)
+    output.add_facts({"scene": machine.name, "edge": size, "cycles": cycles})
+    console = output.make_console(110)
     console.print(f"{machine.name}: {cycles} cycles of 5 poses in a cube of {size:g} m")
     _print("before the calibration" if calibrated else "as it is", "before", before)
     if calibrated is None or after is None:
@@ -102,7 +102,7 @@ def accuracy(
     _print_fit(calibrated, fit, held)
     _print("after the calibration", "after", after)
     console.print(f"calibration: {calibrated.file}")
-    output.facts({"calibration": calibrated.file})
+    output.add_facts({"calibration": calibrated.file})
     return 0
 
 
@@ -124,31 +124,31 @@ def _print(title: str, key: str, result: Accuracy) -> None:
          f"{1e3 * _compute_length(pose.AP_abc):.4f}", f"{1e3 * max(pose.RP_abc):.4f}")
         for k, pose in enumerate(result.poses, start=1)
     )  # fmt: skip
-    output.table(heads, rows, title=title)
+    output.print_table(heads, rows, title=title)
     if result.vAP is not None:
-        output.line(f"vAP, three directions of approach: {1e3 * result.vAP:.4f} mm")
+        output.print_line(f"vAP, three directions of approach: {1e3 * result.vAP:.4f} mm")
     poses = [{"AP": pose.AP, "RP": pose.RP, "AP_abc": pose.AP_abc, "RP_abc": pose.RP_abc}
              for pose in result.poses]  # fmt: skip
-    output.facts({key: {"AP": result.AP, "RP": result.RP, "vAP": result.vAP, "poses": poses}})
+    output.add_facts({key: {"AP": result.AP, "RP": result.RP, "vAP": result.vAP, "poses": poses}})
 
 
 def _print_fit(calibrated: Calibrated, poses: int, separate: int) -> None:
     fit = calibrated.fit
-    output.line(
+    output.print_line(
         f"fit: {fit.count} numbers from {poses} poses; {fit.rank} or combinations of them act alone"
     )
     for name, others in fit.alike.items():
         alike = f"moves the tool as {' with '.join(others)}: cannot be distinguished"
-        output.line(f"  {name} {alike if others else 'does not move what is measured'}")
+        output.print_line(f"  {name} {alike if others else 'does not move what is measured'}")
     poses_text = f"{separate} held poses" if separate else "the poses of the fit"
     facts: dict[str, Any] = {}
     for key, (off, angles_off) in (("before", calibrated.before), ("after", calibrated.after)):
         facts[key] = {"p": _compute_rms(off), "p_largest": off.max(), "R": _compute_rms(angles_off)}
-        output.line(
+        output.print_line(
             f"{poses_text}, {key}: {1e3 * _compute_rms(off):.4f} mm rms, "
             f"{1e3 * off.max():.4f} mm at most, {1e3 * _compute_rms(angles_off):.4f} mrad rms"
         )
-    output.facts({"numbers": fit.count, "rank": fit.rank, "alike": fit.alike, "held": facts})
+    output.add_facts({"numbers": fit.count, "rank": fit.rank, "alike": fit.alike, "held": facts})
 
 
 def _compute_rms(values: Array) -> float:

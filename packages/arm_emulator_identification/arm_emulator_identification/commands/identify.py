@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from arm_emulator.extension.bags import Bag, RecordedTopics
 from arm_emulator.extension.base import Refusal, find_scene
 from arm_emulator.extension.base import given_warnings as given
-from arm_emulator.extension.commands import SceneName, command, output, plain
+from arm_emulator.extension.commands import SceneName, command, convert_to_plain, output
 from arm_emulator.extension.machine import Scene, compute_count_angle, load_scene
 from arm_emulator_identification.found import Found, list_bodies, list_numbers, list_unfitted
 from arm_emulator_identification.identified import (
@@ -112,7 +112,7 @@ def identify(
         picture = out.with_suffix(".png")
         title = f"{data.name}: torques at the links, below {low_pass:g} Hz"
         draw_torques(identified.motion, identified.torques, nominal.joint_names, picture, title)
-    console = output.console(110)
+    console = output.make_console(110)
     console.print(_write_heading(identified, late, low_pass))
     heads = "number", "unit", "before", "found", "+-", ""
     rows = (
@@ -120,7 +120,7 @@ def identify(
          f"{number.deviation:.2g}", number.brief)
         for number in numbers
     )  # fmt: skip
-    output.table(heads, rows, title="Found, with standard deviations", left=2)
+    output.print_table(heads, rows, title="Found, with standard deviations", left=2)
     for reason in dict.fromkeys(number.reason for number in numbers if number.reason):
         names = ", ".join(number.name for number in numbers if number.reason == reason)
         console.print(f"not identifiable: {names}: {reason}", markup=False, highlight=False)
@@ -128,7 +128,7 @@ def identify(
         console.print(f"warning: {doubt}", markup=False, highlight=False)
     console.print(f"scene: {out}\npicture: {picture}")
     given.extend(warnings)
-    output.facts(_list_facts(identified, numbers, nominal) | {"scene": out, "picture": picture})
+    output.add_facts(_list_facts(identified, numbers, nominal) | {"scene": out, "picture": picture})
     return 0
 
 
@@ -148,7 +148,7 @@ def _list_facts(identified: Identified, numbers: Sequence[Found], nominal: Scene
         "rows": len(identified.motion.t),
         "explained": explained,
         "directions": identified.fit.directions,
-        "numbers": [{**plain(number), "remark": number.remark} for number in numbers],
+        "numbers": [{**convert_to_plain(number), "remark": number.remark} for number in numbers],
     }
 
 
@@ -202,7 +202,7 @@ def read_bag_run(path: Path, scene: Scene) -> MeasuredRun:
     t = list[float]()
     counts, current, command, at_link = (list[list[float]]() for _ in range(4))
     tick = -1
-    for _, state in RecordedTopics(Bag(path)).read("motor_states"):
+    for _, state in RecordedTopics(Bag(path)).read_messages("motor_states"):
         if state.tick == tick:
             continue  # published again, as no answer came
         tick = state.tick

@@ -34,10 +34,10 @@ def validate(
             )
         from arm_emulator_identification.validation.manutec_r3 import WIDTH, validate_manutec
 
-        facts = validate_manutec(out, output.console(WIDTH))
+        facts = validate_manutec(out, output.make_console(WIDTH))
     else:
         from arm_emulator_identification.validation.kuka_kr300 import WIDTH, validate_kuka
 
-        facts = validate_kuka(runs, out, output.console(WIDTH))
-    output.facts({"machine": machine, **facts})
+        facts = validate_kuka(runs, out, output.make_console(WIDTH))
+    output.add_facts({"machine": machine, **facts})
     return 0 if facts["good"] else 1

@@ -38,16 +38,20 @@ def look(
         other_run: likewise of the other bag.
         port: TCP port (default: any that is free); on this machine alone without HOST.
     """
-    machine = RecordedMachine.of(bag, scene, run)
-    over = None if other is None else _view_run(RecordedMachine.of(other, other_scene, other_run))
+    machine = RecordedMachine.open_run(bag, scene, run)
+    over = (
+        None
+        if other is None
+        else _view_run(RecordedMachine.open_run(other, other_scene, other_run))
+    )
 
     def explained() -> tuple[TermsNow, list[str]]:
         now = explain_moment(machine)
         return now.terms, now.active
 
     page = RunPage(_view_run(machine), explained, port, over)
-    output.line(page.url)
-    output.facts({"url": page.url, "scene": machine.scene.name, "ticks": machine.last})
+    output.print_line(page.url)
+    output.add_facts({"url": page.url, "scene": machine.scene.name, "ticks": machine.last})
     try:
         threading.Event().wait()
     finally:

@@ -28,7 +28,7 @@ from machines import own_three_axis
 from made_bags import synthetic
 
 from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
-from arm_emulator.bags.comparison import compare
+from arm_emulator.bags.comparison import compare_bag
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.timeline_bag import write_timeline
 from arm_emulator.base.refusal import Refusal
@@ -54,12 +54,12 @@ class Served:
 
     def __init__(self, folder: Path) -> None:
         bag = synthetic(folder / "bag", [True] * LAST, runs=1)
-        self.machine = RecordedMachine.of(bag, load_scene("three_axis"))
+        self.machine = RecordedMachine.open_run(bag, load_scene("three_axis"))
         self.line = Timeline(self.machine)
         terms = TorqueTerms(self.machine.scene)
 
         def explain() -> tuple[TermsNow, list[str]]:
-            now = terms.of(self.machine.session.plant.save(), np.zeros(3))
+            now = terms.evaluate_torques(self.machine.session.plant.save(), np.zeros(3))
             return now, ["nothing is at its limit"]
 
         events = (120, "power"), (250, "set_state")
@@ -175,7 +175,7 @@ def test_every_control_acts_as_labelled(served: Served, browser: Any) -> None:
         shows(page, f"tick {tick},")
     go_to(page, 77)
     shows(page, "tick 77,")
-    repeated = RecordedMachine.of(served.machine.topics.bag.path, scene)
+    repeated = RecordedMachine.open_run(served.machine.topics.bag.path, scene)
     repeated.advance(77)
     assert served.machine.session.plant.save() == repeated.session.plant.save(), "to the last bit"
     shows(page, f"{repeated.session.state.q[1]:.4f}")
@@ -214,7 +214,7 @@ def test_every_control_acts_as_labelled(served: Served, browser: Any) -> None:
     page.get_by_role("button", name="Play").wait_for()
     assert 0 < tick_of(page) < LAST, "slow enough to be stopped on the way"
     choose(page, "Signal", "current")
-    last = RecordedMachine.of(served.machine.topics.bag.path, scene)
+    last = RecordedMachine.open_run(served.machine.topics.bag.path, scene)
     last.advance(LAST)
     current = last.session.state.current[0]
     until(page, lambda: served.page.plotted[1][-1] == current)
@@ -311,7 +311,7 @@ def test_a_push_acts_in_the_future_and_all_futures_remain(browser: Any, tmp_path
         page.get_by_role("button", name="Keep all as bags").click()
         shows(page, "2 bags in")
         for name in ("the_run", "fork_1"):
-            assert compare(tmp_path / "kept" / name, str(scene)).difference is None
+            assert compare_bag(tmp_path / "kept" / name, str(scene)).difference is None
         assert Bag(tmp_path / "kept/fork_1").about[PARENT] == str(tmp_path / "kept/the_run")
         page.get_by_role("button", name="Keep all as bags").click()
         shows(page, "be new")
