@@ -120,7 +120,7 @@ def network(
             with joined(only, nodes.find_ended) as user:
                 yield user
             assert (ended := nodes.find_ended()) is None, f"{ended} ended within the test"
-            codes = nodes.stop()
+            codes = nodes.stop_nodes()
             assert set(codes.values()) <= {0}, f"exit codes {codes}"
     except BaseException as error:
         if keep is not None:

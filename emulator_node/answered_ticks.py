@@ -9,7 +9,7 @@ from arm_emulator.ros.messages.middleware import get_middleware
 from arm_emulator.toolchain.c_header import NULL, CData
 from arm_emulator.toolchain.unit import compile_once
 from emulator_node.breakpoints import Breakpoints
-from emulator_node.c import ANSWERED_TICKS, answered_ticks_unit
+from emulator_node.c import ANSWERED_TICKS, make_answered_ticks_unit
 from emulator_node.command_reader import CommandReader
 from emulator_node.context import Context
 from emulator_node.health import Health
@@ -18,7 +18,7 @@ from emulator_node.reports import Reports
 
 LOGGED = 200  # ticks of which the messages have room in the log: some 20 ms
 
-answered_ticks = compile_once(answered_ticks_unit)
+answered_ticks = compile_once(make_answered_ticks_unit)
 
 
 class AnsweredTicks:
@@ -78,7 +78,7 @@ class AnsweredTicks:
         self.takes = [(subscription, code.answered_ticks_take, argument)]
         self.outgoing = reports.outgoing
 
-    def begin(self) -> None:
+    def begin_in_c(self) -> None:
         """Prepare, see `HotPath`."""
         ticks, session = self._struct, self._session
         ticks.last = self._begun = session.tick
@@ -87,11 +87,11 @@ class AnsweredTicks:
             return
         room = min(self._gate.count_free_ticks(), self._pace.count_ticks_left(session.tick))
         ticks.last = min(session.last_tick, session.tick + room)
-        self._reports.refresh()
+        self._reports.refresh_messages()
         if self._outgoing.record is not None:
             self._begin_log()
 
-    def end(self) -> None:
+    def end_in_c(self) -> None:
         """Take over the results of C, see `HotPath`."""
         passed = self._session.tick - self._begun
         if not passed and not self._struct.result:
@@ -102,7 +102,7 @@ class AnsweredTicks:
         if self._outgoing.record is not None:
             record_log(self._outgoing.record, self._log, self.outgoing, self._topic)
         self._health.report_fault()
-        self._breaks.look()
+        self._breaks.check_condition()
 
     def _begin_log(self) -> None:
         """Let C keep the messages of some ticks."""

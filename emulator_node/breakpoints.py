@@ -34,7 +34,7 @@ class Breakpoints:
         """Pointer to a flag by which loops in C stop; NULL: none."""
         return NULL if self._breakpoint is None else self._breakpoint.stop
 
-    def set(self, request: BreakWhen.Request) -> None:
+    def set_breakpoint(self, request: BreakWhen.Request) -> None:
         """Stop from now on where a request states; no tick may be under way.
 
         Raises:
@@ -51,25 +51,25 @@ class Breakpoints:
         self._on_events, self._on_refusals = request.events, request.refusals
         self._session.break_at(self.stop)
 
-    def look(self) -> None:
+    def check_condition(self) -> None:
         """Pause if the condition has started to hold at this tick."""
         if self._breakpoint is not None and self._breakpoint.take_hit():
-            self._pause(self._breakpoint.condition.text)
+            self._pause_time(self._breakpoint.condition.text)
 
-    def changed(self) -> None:
+    def note_change(self) -> None:
         """Take note of a change by hand."""
         if self._on_events:
-            self._pause("a change by hand")
+            self._pause_time("a change by hand")
 
-    def refused(self, topic: str, reason: Refusal) -> None:
+    def report_refused(self, topic: str, reason: Refusal) -> None:
         """Count a message that is refused, and report it."""
         with self._lock:
-            self._diagnostics.refuse(topic, reason)
+            self._diagnostics.refuse_input(topic, reason)
             self._view.show_event(f"refused: {reason}", "WARN")
             if self._on_refusals:
-                self._pause(str(reason))
+                self._pause_time(str(reason))
 
-    def _pause(self, why: str) -> None:
+    def _pause_time(self, why: str) -> None:
         self._session.paused = True
         self._catch_up()
         text = f"stopped at tick {self._session.tick}: {why}"

@@ -34,33 +34,33 @@ class Changes:
         self._page, self._breaks = page, breaks
 
     @contextmanager
-    def between_ticks(self) -> Iterator[None]:
+    def pause_between_ticks(self) -> Iterator[None]:
         """In this block no time passes, and all ticks up to now are published."""
         with self._session.between_ticks():
             self.pacer.catch_up()
             try:
                 yield
             finally:
-                self.pacer.changed()
+                self.pacer.note_change()
 
-    def make(self, kind: int, change: Callable[[], None]) -> None:
+    def make_change(self, kind: int, change: Callable[[], None]) -> None:
         """Change the machine, and publish the data for repeating the change.
 
         Args:
             kind: of MachineEvent.
             change: makes the change; if it raises, nothing is published.
         """
-        with self.between_ticks():
+        with self.pause_between_ticks():
             change()
             saved = self._session.plant.save()
             self._page.show_machine()
             self.reports.publish_event(kind, saved)
-            self._breaks.changed()
+            self._breaks.note_change()
 
-    def put(self, kind: int, change: Callable[[], None]) -> None:
-        """Change the machine, publish its new state, and continue from there, see `make`."""
-        with self.between_ticks():
-            self.make(kind, change)
+    def put_change(self, kind: int, change: Callable[[], None]) -> None:
+        """Change the machine, publish its new state, and continue from there, see `make_change`."""
+        with self.pause_between_ticks():
+            self.make_change(kind, change)
             self.reports.publish_change()
         if self._session.is_answered:
             self.pacer.go_on()

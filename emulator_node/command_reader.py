@@ -46,8 +46,8 @@ class CommandReader:
         MOTOR_COMMANDS.fill_struct(
             struct,
             reader=reader.struct,
-            input_names=reader.field("input_names"),
-            inputs=reader.field("inputs"),
+            input_names=reader.find_field("input_names"),
+            inputs=reader.find_field("inputs"),
             largest=self.largest,
             came=commands,
             emulator=get_start_time(),

@@ -71,11 +71,11 @@ class SimulationEntities:
             and (not tags or enough(self.get_tags(name)))
         ]
 
-    def place(self) -> None:
+    def place_links(self) -> None:
         """Place all links as they are at this tick."""
         self._links.place_links(*self._session.plant.machine_motion)
 
-    def fill(self, name: str, state: Any) -> None:
+    def fill_state(self, name: str, state: Any) -> None:
         """Fill an EntityState with the motion of an entity that was placed.
 
         Its acceleration is not known: NaN.
@@ -84,15 +84,15 @@ class SimulationEntities:
         (p, quaternion), (v, omega) = self._links.get_pose(link), self._links.get_twist(link)
         set_stamp(state.header.stamp, self._session.logical_ns)
         state.header.frame_id = "world"
-        _put(state.pose.position, p)
-        _put(state.pose.orientation, quaternion)
-        _put(state.twist.linear, v)
-        _put(state.twist.angular, omega)
+        _set_values(state.pose.position, p)
+        _set_values(state.pose.orientation, quaternion)
+        _set_values(state.twist.linear, v)
+        _set_values(state.twist.angular, omega)
         unknown = np.full(3, np.nan)
-        _put(state.acceleration.linear, unknown)
-        _put(state.acceleration.angular, unknown)
+        _set_values(state.acceleration.linear, unknown)
+        _set_values(state.acceleration.angular, unknown)
 
 
-def _put(message: Any, values: Sequence[float] | np.ndarray[Any, Any]) -> None:
+def _set_values(message: Any, values: Sequence[float] | np.ndarray[Any, Any]) -> None:
     for name, value in zip("xyzw", values, strict=False):
         setattr(message, name, float(value))

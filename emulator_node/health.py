@@ -6,7 +6,7 @@ from collections.abc import Callable
 from arm_emulator.machine.plant.diverged import Diverged
 from arm_emulator.machine.session.phase import Phase
 from arm_emulator.machine.session.session import EndOfTime
-from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_stamp
+from arm_emulator.ros.messages.time_stamp import NANOSECONDS, convert_to_stamp
 from arm_emulator.ros.node.node_shell import STATE_PUB_QOS
 from arm_emulator_msgs.msg import EmulatorStatus
 from emulator_node.context import Context
@@ -37,16 +37,16 @@ class Health:
             from arm_emulator.analysis.stability import explain_divergence  # not needed before
 
             explain_divergence(fault)
-            self._diagnostics.error(str(fault))
+            self._diagnostics.report_error(str(fault))
             self._logger.error(str(fault))
             self._view.show_event(str(fault), "ERROR")
 
-    def report(self, waited: float) -> None:
+    def publish_health(self, waited: float) -> None:
         """Publish the machine's health; `waited`: since this tick was published [s]."""
         session, diagnostics, record = self._session, self._diagnostics, self._outgoing.record
         late, page = waited > self._timeout(), self._page()
         if session.phase is Phase.STOPPED:
-            diagnostics.error(str(session.fault))
+            diagnostics.report_error(str(session.fault))
         elif session.phase is Phase.PAUSED and page:
             diagnostics.report_warning(
                 f"paused at tick {session.tick}, and the page is gone: {page}; "
@@ -88,14 +88,14 @@ class Status:
         self._session, self._diagnostics, self._reports = own.session, own.diagnostics, reports
         self._outgoing, self._view = own.outgoing, own.view
         self.publisher = own.node.create_publisher(EmulatorStatus, "emulator/status", STATE_PUB_QOS)
-        self.begin()
+        self.reset_rates()
 
-    def begin(self) -> None:
+    def reset_rates(self) -> None:
         """Reset the rates at tick 0."""
         # Wall time, ticks, ns spent on steps.
         self._mark = (time.monotonic_ns(), 0, self._session.step_wall_ns)
 
-    def report(self) -> None:
+    def publish_status(self) -> None:
         """Publish it."""
         session, now = self._session, time.monotonic_ns()
         since, ticks, core_ns = self._mark
@@ -126,5 +126,5 @@ class Status:
             real_time_priority=bool(figures.fifo),
             memory_locked=bool(figures.locked),
         )
-        status.header.stamp = to_stamp(session.logical_ns)
-        self._outgoing.put(self.publisher, status)
+        status.header.stamp = convert_to_stamp(session.logical_ns)
+        self._outgoing.publish_message(self.publisher, status)

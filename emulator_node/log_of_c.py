@@ -50,7 +50,7 @@ def record_log(record: RunRecord, log: CData, outgoing: Sequence[Outgoing], comm
         at += HEAD
         message = data[at : at + size]
         if number == 0:
-            record.count(int.from_bytes(message[tick_at : tick_at + 8], "little"))
-        record.put(topics[number], message, wall)
+            record.count_tick(int.from_bytes(message[tick_at : tick_at + 8], "little"))
+        record.add_message(topics[number], message, wall)
         at += size
     record.dropped += log.dropped

@@ -31,16 +31,16 @@ def search_names(expression: str, names: Sequence[str]) -> list[str]:
     try:
         re.compile(expression)
     except (re.error, OverflowError, RecursionError) as error:
-        raise _refuse("be a regular expression", f"{expression!r}: {error}") from None
+        raise _refuse_filter("be a regular expression", f"{expression!r}: {error}") from None
     done = subprocess.run(
         [sys.executable, "-I", "-S", "-c", _SEARCH],
         input=json.dumps([expression, [*names]]), capture_output=True, text=True, check=False,
     )  # fmt: skip
     if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        raise _refuse(f"be found or not within {LONGEST} s", repr(expression))
+        raise _refuse_filter(f"be found or not within {LONGEST} s", repr(expression))
     done.check_returncode()
     return [str(name) for name in json.loads(done.stdout)]
 
 
-def _refuse(rule: str, actual: str) -> Refusal:
+def _refuse_filter(rule: str, actual: str) -> Refusal:
     return Refusal("filters", "filter", rule, actual)

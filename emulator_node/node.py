@@ -118,23 +118,23 @@ class EmulatorNode(ManagedNode):
         super().__init__("emulator")
         self._config = declare_parameters(self, EmulatorParameters)
         refuse_unknown_parameters(self, self._config)
-        accept_changes(self, self._changed, self._take_parameters)
+        accept_changes(self, self._check_changes, self._take_parameters)
         self._diagnostics = Diagnostics(self, "machine")
         self._duplicate_nodes = DuplicateNodes(
             self, self._diagnostics, "emulator", "motor_states", "the one started first rules"
         )
-        self.start()
+        self.start_lifecycle()
 
-    def configure(self) -> None:
+    def create_entities(self) -> None:
         """Create the machine, which stands, and its topics and services."""
         config = self._config
         check_pace(config)
         outgoing = OutgoingMessages()
         self.cleanup.callback(outgoing.close)
         diagnostics = self._diagnostics
-        self._session = session = self._new_session()
+        self._session = session = self._open_session()
         scene = session.scene
-        page = self._watch(session)
+        page = self._open_page(session)
         self.cleanup.callback(page.close)
         view = MachineView(session, config.rerun_file, config.rerun_port)
         self.cleanup.callback(view.close)
@@ -169,8 +169,8 @@ class EmulatorNode(ManagedNode):
             SimulationServices(self, own, changes, control, stepper)
             self.housekeeping = 0.02  # s, wall: bounds the delay of steps and actions
         self._repeater = Retransmitter(own, self._pacer, reports, health)
-        create_wall_timer(self, REPEAT_AFTER, self._on_repeat)
-        create_wall_timer(self, STATUS_PERIOD, self._on_status)
+        create_wall_timer(self, REPEAT_AFTER, self._handle_repeat)
+        create_wall_timer(self, STATUS_PERIOD, self._handle_status)
         self.get_logger().info(
             f"scene {scene.name}: {len(scene.joints)} joints, {scene.integrator.scheme} at "
             f"{scene.integrator.dt:g} s, servo period {scene.servo_period:g} s, "
@@ -178,7 +178,7 @@ class EmulatorNode(ManagedNode):
         )
         diagnostics.report_ok("inactive: the machine stands")
 
-    def _new_session(self) -> Session:
+    def _open_session(self) -> Session:
         """Return the machine under its clock, which stands."""
         config = self._config
         scene = load_scene(config.scene)
@@ -204,10 +204,10 @@ class EmulatorNode(ManagedNode):
         taken = [commands, *(subscription.topic_name for subscription in self._others)]
         with CtrlC.delay_interrupt():  # or the new bag would have no end
             outgoing.record = create_record(self, folder, publishers, taken, self._session.lockstep)
-        diagnostics.send = lambda message: outgoing.put(diagnostics.publisher, message)
+        diagnostics.send = lambda message: outgoing.publish_message(diagnostics.publisher, message)
         self.cleanup.callback(self._end_record)
 
-    def _watch(self, session: Session) -> PageProcess:
+    def _open_page(self, session: Session) -> PageProcess:
         """Return the machine with a page, or without one."""
         host, port = self._config.page_host, self._config.page_port
         if port < 0:
@@ -221,9 +221,9 @@ class EmulatorNode(ManagedNode):
         print(f"page: {page.url}", flush=True)
         return page
 
-    def activate(self) -> None:
+    def begin_work(self) -> None:
         """Publish this tick, and let time pass."""
-        self._duplicate_nodes.begin()
+        self._duplicate_nodes.announce_node()
         self._duplicate_nodes.wait_until_first("emulator/status", alone=self._config.alone)
         with self._own.lock:
             self._reports.publish_description()
@@ -231,20 +231,20 @@ class EmulatorNode(ManagedNode):
             self._session.inactive = False
             self._pacer.start()
 
-    def deactivate(self) -> None:
+    def stop_work(self) -> None:
         """Let the machine stand at this tick, once it is published."""
         with self._own.lock:
             self._session.inactive = True
             self._pacer.catch_up()
         self._pacer.close()
-        self._duplicate_nodes.end()
+        self._duplicate_nodes.withdraw_node()
         self._diagnostics.report_ok("inactive: the machine stands")
 
     def _end_record(self) -> None:
         take_rest(self._others)  # of a busy machine's last periods
         self._diagnostics.send = self._diagnostics.publisher.publish
 
-    def _changed(self, changes: Mapping[str, Any]) -> EmulatorParameters:
+    def _check_changes(self, changes: Mapping[str, Any]) -> EmulatorParameters:
         config = replace_parameters(self, self._config, changes)
         check_pace(config)
         return config
@@ -254,20 +254,20 @@ class EmulatorNode(ManagedNode):
         if self.configured and config.real_time_factor != before.real_time_factor:
             with self._own.lock:
                 self._own.pace.factor = config.real_time_factor
-                self._pacer.look()
+                self._pacer.check_time()
 
     def _report_recorder(self, event: str) -> None:
         self.get_logger().warning(event)
         self._diagnostics.values["newest of recorders"] = event
 
-    def _on_repeat(self) -> None:
+    def _handle_repeat(self) -> None:
         with self._own.lock:
-            self._repeater.look()
+            self._repeater.check_answer()
 
-    def _on_status(self) -> None:
+    def _handle_status(self) -> None:
         with self._own.lock:
-            self._pacer.look()
-            self._status.report()
+            self._pacer.check_time()
+            self._status.publish_status()
             if time.monotonic() - self._reports.published_at >= STATUS_PERIOD:
                 self._reports.repeat_time()
 

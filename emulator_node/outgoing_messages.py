@@ -35,21 +35,21 @@ class OutgoingMessages:
         self.record: RunRecord | None = None
         self.before_record: Callable[[], None] = lambda: None
 
-    def put(self, publisher: Publisher, message: Any) -> None:
+    def publish_message(self, publisher: Publisher, message: Any) -> None:
         """Publish a message, or the bytes of one, and write it into the record."""
         if self.record is None:
             publisher.publish(message)
             return
         data = message if isinstance(message, bytes) else serialize_message(message)
         self.before_record()
-        self.record.put(publisher.topic_name, data)
+        self.record.add_message(publisher.topic_name, data)
         publisher.publish(data)
 
     def record_message_of_others(self, topic: str, data: bytes) -> None:
         """Write a message of another node into the record, if there is one."""
         if self.record is not None:
             self.before_record()
-            self.record.put(topic, data)
+            self.record.add_message(topic, data)
 
     def close(self) -> None:
         """Finish the record."""

@@ -28,7 +28,7 @@ class Pacer:
     def go_on(self) -> None:
         """Leave this tick, unless it waits for something, or a loop leaves it."""
 
-    def look(self) -> None:
+    def check_time(self) -> None:
         """Check whether time has to advance, or has advanced."""
         raise NotImplementedError
 
@@ -36,7 +36,7 @@ class Pacer:
         """Publish all ticks reached so far, before a change. Time must be paused."""
         raise NotImplementedError
 
-    def changed(self) -> None:
+    def note_change(self) -> None:
         """Take note of a machine that was changed at this tick. Time must be paused."""
 
     def close(self) -> None:
@@ -52,9 +52,9 @@ class LockstepPacer(Pacer):
         self._reports, self._health, self._lock = reports, health, own.lock
         self._pace = own.pace
         self._free_run = create_wall_timer(
-            own.node, own.session.scene.servo_period, self._on_free_run
+            own.node, own.session.scene.servo_period, self._handle_free_run
         )
-        self._due = create_wall_timer(own.node, own.session.scene.servo_period, self._on_due)
+        self._due = create_wall_timer(own.node, own.session.scene.servo_period, self._handle_due)
         self._due.cancel()
 
     def start(self) -> None:
@@ -73,9 +73,9 @@ class LockstepPacer(Pacer):
         if self._session.fault is None:
             self._reports.publish_tick()
         self._health.report_fault()
-        self._breaks.look()
+        self._breaks.check_condition()
 
-    def look(self) -> None:
+    def check_time(self) -> None:
         """Go on with the free run if the machine has returned to it, and at another pace."""
         if self._free_run.is_canceled() and self._session.phase is Phase.FREE_RUNNING:
             self._free_run.reset()
@@ -86,14 +86,14 @@ class LockstepPacer(Pacer):
         """Do nothing: every tick is published when reached."""
         self._health.report_fault()
 
-    def _on_free_run(self) -> None:
+    def _handle_free_run(self) -> None:
         with self._lock:
             if self._session.phase is Phase.FREE_RUNNING:
                 self.go_on()
             else:
                 self._free_run.cancel()
 
-    def _on_due(self) -> None:
+    def _handle_due(self) -> None:
         with self._lock:
             self._due.cancel()
             self.go_on()
@@ -114,17 +114,17 @@ class LoopPacer(Pacer):
         self._topic = own.node.resolve_topic_name("motor_commands")
         self._closing = False
         self._thread: threading.Thread | None = None
-        own.outgoing.before_record = self._record
-        create_wall_timer(own.node, LOOK, self._on_look)
+        own.outgoing.before_record = self._record_ticks
+        create_wall_timer(own.node, LOOK, self._handle_look)
 
     def start(self) -> None:
         """Publish ticks from now on."""
         self._closing = False
-        self.ticks.begin()
-        self._thread = threading.Thread(target=self._run, name="publisher")
+        self.ticks.begin_publishing()
+        self._thread = threading.Thread(target=self._run_loop, name="publisher")
         self._thread.start()
 
-    def look(self) -> None:
+    def check_time(self) -> None:
         """Take note of the newest tick."""
         session, before = self._session, self._session.tick
         while session.take(newest=not self._own.view.is_open):
@@ -133,41 +133,41 @@ class LoopPacer(Pacer):
         if session.tick != before:
             self._reports.published_at = self._reports.repeated_at = time.monotonic()
             self._gate.published += session.tick - before
-        self._record()
+        self._record_ticks()
         self._health.report_fault()
-        self._breaks.look()
+        self._breaks.check_condition()
 
     def catch_up(self) -> None:
         """Publish all ticks that the loop has reached, so that a change follows them."""
         self.ticks.catch_up()
-        self.look()
+        self.check_time()
 
-    def changed(self) -> None:
+    def note_change(self) -> None:
         """Go on from the machine as it is now."""
-        self.ticks.put()
+        self.ticks.set_machine()
 
     def close(self) -> None:
         """End the thread."""
         self._closing = True
-        self.ticks.close()
+        self.ticks.stop_publishing()
         if self._thread is not None:
             self._thread.join()
             self._thread = None
-            self.ticks.end()
+            self.ticks.release_publishers()
 
-    def _record(self) -> None:
+    def _record_ticks(self) -> None:
         with self._lock:
-            self.ticks.record(self._topic)
+            self.ticks.record_messages(self._topic)
 
-    def _on_look(self) -> None:
+    def _handle_look(self) -> None:
         with self._lock:
-            self.look()
+            self.check_time()
 
-    def _run(self) -> None:
+    def _run_loop(self) -> None:
         while not self._closing and rclpy.ok():
-            if self.ticks.run():
+            if self.ticks.publish_ticks():
                 with self._lock:
-                    self.look()
+                    self.check_time()
 
 
 class Retransmitter:
@@ -177,7 +177,7 @@ class Retransmitter:
         self._session, self._gate = own.session, own.gate
         self._pacer, self._reports, self._health = pacer, reports, health
 
-    def look(self) -> None:
+    def check_answer(self) -> None:
         """Publish an unanswered state again; report a partner that stays silent."""
         session, gate, now = self._session, self._gate, time.monotonic()
         unanswered = session.phase in (Phase.WAITING, Phase.PAUSED) and not session.is_answered
@@ -190,5 +190,5 @@ class Retransmitter:
         late = now - self._reports.repeated_at >= REPEAT_AFTER
         if unanswered and late and not gate.find_full_recorder():
             self._reports.repeat_tick()
-        self._health.report(waited=now - self._reports.published_at)
-        self._pacer.look()
+        self._health.publish_health(waited=now - self._reports.published_at)
+        self._pacer.check_time()

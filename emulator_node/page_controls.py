@@ -23,8 +23,8 @@ from std_srvs.srv import SetBool, Trigger
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.page.controls import Controls, News, Vector
 from arm_emulator.ros.messages.event_words import describe_change, describe_motion
-from arm_emulator.ros.messages.time_stamp import to_nanoseconds
-from arm_emulator.ros.node.barrier import guard
+from arm_emulator.ros.messages.time_stamp import convert_to_nanoseconds
+from arm_emulator.ros.node.barrier import guard_callback
 from arm_emulator.ros.node.node_parameters import SETTABLE
 from arm_emulator.ros.node.node_shell import EVENT_QOS, STATE_SUB_QOS
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotionStatus
@@ -58,12 +58,12 @@ class RosControls(Controls):
         self._targets = node.create_publisher(PoseStamped, "tool_target", 1)
         self._pushes = node.create_publisher(WrenchStamped, "external_wrench_in_world", 1)
         for kind, topic, callback, qos in (
-            (EmulatorStatus, "emulator/status", self._on_status, STATE_SUB_QOS),
-            (MachineEvent, "emulator/events", self._on_event, EVENT_QOS),
-            (MotionStatus, "motion/status", self._on_motion, EVENT_QOS),
-            (DiagnosticArray, "diagnostics", self._on_diagnostics, 10),
+            (EmulatorStatus, "emulator/status", self._handle_status, STATE_SUB_QOS),
+            (MachineEvent, "emulator/events", self._handle_event, EVENT_QOS),
+            (MotionStatus, "motion/status", self._handle_motion, EVENT_QOS),
+            (DiagnosticArray, "diagnostics", self._handle_diagnostics, 10),
         ):
-            node.create_subscription(kind, topic, guard(self, topic, callback), qos)
+            node.create_subscription(kind, topic, guard_callback(self, topic, callback), qos)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
         self._thread = threading.Thread(target=self._executor.spin, name="hands", daemon=True)
@@ -105,7 +105,7 @@ class RosControls(Controls):
         with self._lock:
             self._news.events.append((tick, text))
 
-    def _on_status(self, status: EmulatorStatus) -> None:
+    def _handle_status(self, status: EmulatorStatus) -> None:
         power = "" if status.powered else ", **no power**"
         with self._lock:
             self._news.state = PHASES[status.phase] + power
@@ -116,13 +116,13 @@ class RosControls(Controls):
                 self._add_event(status.tick, "stopped: the motion diverged")
             self._phase = status.phase
 
-    def _on_event(self, event: MachineEvent) -> None:
+    def _handle_event(self, event: MachineEvent) -> None:
         self._add_event(event.tick, describe_change(event.kind, event.powered))
 
-    def _on_motion(self, status: MotionStatus) -> None:
+    def _handle_motion(self, status: MotionStatus) -> None:
         self._add_event(self._tick_at(status.header.stamp), describe_motion(status))
 
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+    def _handle_diagnostics(self, message: DiagnosticArray) -> None:
         for diagnostic in message.status:
             for pair in diagnostic.values:
                 if pair.key == "newest breakpoint" and self._refusals.get(pair.key) != pair.value:
@@ -138,20 +138,20 @@ class RosControls(Controls):
                     self._add_event(tick, f"{diagnostic.name} refused: {pair.value}")
 
     def _tick_at(self, stamp: Time) -> int:
-        return round(1e-9 * to_nanoseconds(stamp) / self._period)
+        return round(1e-9 * convert_to_nanoseconds(stamp) / self._period)
 
     # Actions
 
     def pause(self, on: bool) -> str:
         """Let time stand still, or go on."""
-        return self._call("emulator/pause", SetBool, SetBool.Request(data=on))
+        return self._request_service("emulator/pause", SetBool, SetBool.Request(data=on))
 
     def step(self, ticks: int) -> str:
         """Let so many servo periods pass, each of which needs its command in lock-step."""
         answer = ""
         for _ in range(ticks):
             answer = self._call_patiently(
-                lambda: self._call("emulator/step", Trigger, Trigger.Request())
+                lambda: self._request_service("emulator/step", Trigger, Trigger.Request())
             )
         return answer
 
@@ -162,20 +162,22 @@ class RosControls(Controls):
 
     def reset(self) -> str:
         """Reset emulator, servo and motion controller to tick 0."""
-        answer = self._call("emulator/reset", Trigger, Trigger.Request())
+        answer = self._request_service("emulator/reset", Trigger, Trigger.Request())
         for name in ("servo/reset", "motion_controller/reset"):
             if self._get_client(name, Trigger).service_is_ready():
-                self._call(name, Trigger, Trigger.Request())
+                self._request_service(name, Trigger, Trigger.Request())
         return answer
 
     def power(self, on: bool) -> str:
         """Switch the drives' power."""
-        return self._call("emulator/power", SetBool, SetBool.Request(data=on))
+        return self._request_service("emulator/power", SetBool, SetBool.Request(data=on))
 
     def set_varied(self, name: str, value: float) -> str:
         """Set a number that the scene lists as varied."""
         request = SetVaried.Request(name=name, value=value)
-        return f"{name} = {value:g} " + self._call("emulator/set_varied", SetVaried, request)
+        return f"{name} = {value:g} " + self._request_service(
+            "emulator/set_varied", SetVaried, request
+        )
 
     def push(self, link: str, force: Vector, moment: Vector) -> str:
         """Let a force and a moment act on a link from now on."""
@@ -199,12 +201,14 @@ class RosControls(Controls):
     def save(self, name: str) -> str:
         """Keep the whole machine under a name."""
         request = SaveState.Request(name=name)
-        return f"{name} kept, " + self._call("emulator/save_state", SaveState, request)
+        return f"{name} kept, " + self._request_service("emulator/save_state", SaveState, request)
 
     def restore(self, name: str) -> str:
         """Go on from a machine that was kept."""
         request = RestoreState.Request(name=name)
-        return f"{name} restored, " + self._call("emulator/restore_state", RestoreState, request)
+        return f"{name} restored, " + self._request_service(
+            "emulator/restore_state", RestoreState, request
+        )
 
     def gains(self) -> dict[str, float]:
         """Return the numbers of the servo's joints that can be changed."""
@@ -232,7 +236,7 @@ class RosControls(Controls):
     def break_when(self, condition: str) -> str:
         """Let time stand still as soon as a condition holds."""
         request = BreakWhen.Request(condition=condition)
-        answer = self._call("emulator/break_when", BreakWhen, request)
+        answer = self._request_service("emulator/break_when", BreakWhen, request)
         return f"stops where {condition}, set {answer}" if condition else "stops nowhere"
 
     def _set_parameter(self, node: str, name: str, value: float) -> None:
@@ -282,7 +286,7 @@ class RosControls(Controls):
             raise Refusal("page", f"service {name}", f"answer within {PATIENCE:g} s", "no answer")
         return future.result()
 
-    def _call(self, name: str, kind: Any, request: Any) -> str:
+    def _request_service(self, name: str, kind: Any, request: Any) -> str:
         """Return the message of a service that has succeeded.
 
         Raises:

@@ -14,7 +14,7 @@ from arm_emulator.machine.session.real_time import RealTimeLoop
 from arm_emulator.ros.messages.middleware import Outgoing, get_middleware
 from arm_emulator.toolchain.c_header import CData
 from arm_emulator.toolchain.unit import compile_once
-from emulator_node.c import REAL_TIME_TICKS, real_time_ticks_unit
+from emulator_node.c import REAL_TIME_TICKS, make_real_time_ticks_unit
 from emulator_node.command_reader import CommandReader
 from emulator_node.context import Context
 from emulator_node.log_of_c import compute_log_room, record_log
@@ -23,7 +23,7 @@ from emulator_node.reports import TRUTH, Reports
 READERS, READER = 2, 1  # of the loop: the session is the first
 LOGGED = 8192  # ticks of which the messages have room in a log
 
-real_time_ticks = compile_once(real_time_ticks_unit)
+real_time_ticks = compile_once(make_real_time_ticks_unit)
 
 
 class RealTimeTicks:
@@ -80,10 +80,10 @@ class RealTimeTicks:
         if hasattr(self, "at"):  # a signal may end the compiler before
             self._calls.real_time_ticks_end(self.at)
 
-    def begin(self) -> None:
-        """Let `run` publish from now on."""
+    def begin_publishing(self) -> None:
+        """Let `publish_ticks` publish from now on."""
         for message in self._messages:
-            self._stack.enter_context(message.bind())
+            self._stack.enter_context(message.bind_to_c())
         self.at.closing = 0
         if self._own.outgoing.record is not None and not self._logs:
             room = compute_log_room(LOGGED, self._messages, self._commands.largest)
@@ -91,17 +91,17 @@ class RealTimeTicks:
             self._logs = [ffi.new("uint8_t[]", room) for _ in range(2)]
             self.at.log.data, self.at.log.room = self._logs[0], room
             self._log = REAL_TIME_TICKS.make_struct("ros_log", data=self._logs[1], room=room)
-        self.put()
+        self.set_machine()
 
-    def run(self) -> bool:
+    def publish_ticks(self) -> bool:
         """Publish what the loop reaches; True if Python has to look, False once it is closing."""
         return bool(self._calls.real_time_ticks_run(self.at))
 
-    def close(self) -> None:
-        """Let `run` return."""
+    def stop_publishing(self) -> None:
+        """Let `publish_ticks` return."""
         self.at.closing = 1
 
-    def end(self) -> None:
+    def release_publishers(self) -> None:
         """Release the publishers; nothing may run any more."""
         self._stack.close()
 
@@ -109,14 +109,14 @@ class RealTimeTicks:
         """Publish all that the loop has reached."""
         self._calls.real_time_ticks_catch_up(self.at)
 
-    def put(self) -> None:
+    def set_machine(self) -> None:
         """Take over the tick and the power of a machine that stands; all ticks are published."""
         message = self._messages[0].layout
         message.message.powered = self._session.powered
         message.write_numbers()
         self._calls.real_time_ticks_put(self.at, self._session.tick)
 
-    def record(self, topic: str) -> None:
+    def record_messages(self, topic: str) -> None:
         """Write what C has published and taken into the record; `topic`: of the commands."""
         record = self._own.outgoing.record
         if record is None or not self._logs:
@@ -151,11 +151,11 @@ class RealTimeCommands:
         """All timers: none of them changes the machine."""
         return [*self._node.timers]
 
-    def begin(self) -> None:
+    def begin_in_c(self) -> None:
         """Prepare, see `HotPath`."""
         running = self._session.phase is Phase.RUNNING
         self._ticks.at.open = running and not self._session.zoh_rows[1:].any()
 
-    def end(self) -> None:
+    def end_in_c(self) -> None:
         """Leave commands to Python, see `HotPath`."""
         self._ticks.at.open = 0

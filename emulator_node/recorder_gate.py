@@ -53,7 +53,7 @@ class RecorderGate:
         self._recorders: dict[str, _GatedRecorder] = {}
         self._begin = 1  # number of the first message of this run
 
-    def begin(self) -> None:
+    def begin_run(self) -> None:
         """Count the next message as the first one of a run."""
         self._begin = self.published + 1
 

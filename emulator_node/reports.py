@@ -14,7 +14,7 @@ from arm_emulator.machine.plant.measured import Measured
 from arm_emulator.machine.plant.measured_fields import MeasuredFields
 from arm_emulator.ros.messages.event_words import describe_change
 from arm_emulator.ros.messages.middleware import Numbers, Outgoing
-from arm_emulator.ros.messages.time_stamp import set_stamp, to_stamp
+from arm_emulator.ros.messages.time_stamp import convert_to_stamp, set_stamp
 from arm_emulator.ros.node.duplicate_nodes import get_start_time
 from arm_emulator.ros.node.node_shell import DESCRIPTION_QOS, EVENT_QOS, STATE_PUB_QOS
 from arm_emulator_msgs.msg import MachineEvent, MotorState
@@ -76,14 +76,16 @@ class Reports:
         motor_state, joint_state, clock = self._of_ticks
         rows = list(zip(TRUTH, truth, strict=True))
         return (
-            Outgoing(motor_state, self._empty_motor_state(), 0, self._fields.list_places(measured)),
-            Outgoing(joint_state, self._empty_truth(), 1, rows),
+            Outgoing(
+                motor_state, self._make_empty_motor_state(), 0, self._fields.list_places(measured)
+            ),
+            Outgoing(joint_state, self._make_empty_truth(), 1, rows),
             Outgoing(clock, Clock(), 2),
         )
 
     def publish_description(self) -> None:
         """Publish the robot's description."""
-        self._outgoing.put(self._descriptions, String(data=self._session.scene.urdf))
+        self._outgoing.publish_message(self._descriptions, String(data=self._session.scene.urdf))
 
     def publish_tick(self) -> None:
         """Publish this tick's state."""
@@ -93,7 +95,7 @@ class Reports:
         if session.tick % self.ticks == 0:
             self._put_truth()
             self._set_time()
-            self._outgoing.put(self.clock.publisher, self.clock.layout.data())
+            self._outgoing.publish_message(self.clock.publisher, self.clock.layout.write_message())
         self._view.show_tick()
 
     def publish_change(self) -> None:
@@ -116,9 +118,9 @@ class Reports:
         It is read with best effort: subscribers that lost it, or came later, get it now.
         """
         self._set_time()
-        self.clock.publish()
+        self.clock.publish_message()
 
-    def refresh(self) -> None:
+    def refresh_messages(self) -> None:
         """Set the parts of messages that the code in C does not change."""
         self.motor_state.layout.message.powered = self._session.powered
         self.motor_state.layout.write_numbers()
@@ -135,8 +137,8 @@ class Reports:
             state=array("B", saved),
             machine=get_start_time(),
         )
-        event.header.stamp = to_stamp(session.logical_ns)
-        self._outgoing.put(self._events, event)
+        event.header.stamp = convert_to_stamp(session.logical_ns)
+        self._outgoing.publish_message(self._events, event)
         self._view.show_event(describe_change(kind, session.powered))
 
     def _set_time(self) -> None:
@@ -149,16 +151,18 @@ class Reports:
         set_stamp(truth.header.stamp, self._session.logical_ns)
         for name, values in zip(TRUTH, (state.q, state.v, state.gear_torque), strict=True):
             getattr(truth, name)[:] = values
-        self._outgoing.put(self.joint_state.publisher, self.joint_state.layout.data())
+        self._outgoing.publish_message(
+            self.joint_state.publisher, self.joint_state.layout.write_message()
+        )
 
-    def _empty_truth(self) -> JointState:
+    def _make_empty_truth(self) -> JointState:
         """Return a true state with all its names and lengths."""
         scene = self._session.scene
         zeros = array("d", bytes(8 * len(scene.joints)))
         names = list(scene.joint_names)
         return JointState(name=names, position=zeros, velocity=zeros, effort=zeros)
 
-    def _empty_motor_state(self) -> MotorState:
+    def _make_empty_motor_state(self) -> MotorState:
         """Return a motor state with all its names and lengths."""
         scene, measured = self._session.scene, self._session.measured
         message = MotorState(
@@ -177,5 +181,7 @@ class Reports:
         self._fields.fill_message(message, session.measured)
         self._gate.published += 1
         if self._outgoing.record is not None:
-            self._outgoing.record.count(session.tick)
-        self._outgoing.put(self.motor_state.publisher, self.motor_state.layout.data())
+            self._outgoing.record.count_tick(session.tick)
+        self._outgoing.publish_message(
+            self.motor_state.publisher, self.motor_state.layout.write_message()
+        )

@@ -31,9 +31,9 @@ class Services:
         self._control, self._changes, self._breaks = control, changes, breaks
         self._saved: dict[str, bytes] = {}  # machines by name
         for kind, name, handle in (
-            (SetBool, "pause", self._pause),
-            (Trigger, "step", lambda request, response: control.step()),
-            (Trigger, "reset", self._reset),
+            (SetBool, "pause", self._pause_time),
+            (Trigger, "step", lambda request, response: control.step_tick()),
+            (Trigger, "reset", self._reset_machine),
             (SetBool, "power", self._switch_power),
             (SaveState, "save_state", self._save_state),
             (RestoreState, "restore_state", self._restore_state),
@@ -41,35 +41,37 @@ class Services:
             (SetVaried, "set_varied", self._set_varied),
             (BreakWhen, "break_when", self._set_breakpoint),
         ):
-            own.node.create_service(kind, f"~/{name}", partial(self._answer, handle))
+            own.node.create_service(kind, f"~/{name}", partial(self._answer_request, handle))
 
-    def _answer(self, handle: Callable[[Any, Any], str], request: Any, response: Any) -> Any:
+    def _answer_request(
+        self, handle: Callable[[Any, Any], str], request: Any, response: Any
+    ) -> Any:
         with self._lock:
             trouble = handle(request, response)
             response.success = not trouble
             response.message = trouble or response.message or f"at tick {self._session.tick}"
         return response
 
-    def _pause(self, request: SetBool.Request, response: SetBool.Response) -> str:
-        self._control.pause(request.data)
+    def _pause_time(self, request: SetBool.Request, response: SetBool.Response) -> str:
+        self._control.pause_time(request.data)
         done = "paused" if request.data else "going on"
         response.message = f"{done} at tick {self._session.tick}"
         return ""
 
-    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> str:
-        self._control.reset()
+    def _reset_machine(self, request: Trigger.Request, response: Trigger.Response) -> str:
+        self._control.reset_time()
         response.message = "at tick 0"  # time may pass from here on
         return ""
 
     def _switch_power(self, request: SetBool.Request, response: SetBool.Response) -> str:
-        self._control.power(request.data)
+        self._control.switch_power(request.data)
         response.message = (
             "power on" if request.data else "power off: motors at 0 V, windings shorted"
         )
         return ""
 
     def _save_state(self, request: SaveState.Request, response: SaveState.Response) -> str:
-        with self._changes.between_ticks():
+        with self._changes.pause_between_ticks():
             if len(self._saved) >= SAVED_LIMIT and request.name not in {"", *self._saved}:
                 rule = f"be one of the {SAVED_LIMIT} that are kept already"
                 raise Refusal("save_state", "name", rule, request.name)
@@ -81,7 +83,7 @@ class Services:
             return ""
 
     def _restore_state(self, request: RestoreState.Request, response: RestoreState.Response) -> str:
-        def restore() -> None:
+        def restore_machine() -> None:
             if bool(request.name) == bool(request.state):
                 actual = "both" if request.name else "neither"
                 raise Refusal("restore_state", "what is restored", "be a name or a state", actual)
@@ -90,7 +92,7 @@ class Services:
                 raise Refusal("restore_state", "name", "be a saved one", request.name, valid)
             self._session.restore(self._saved.get(request.name, bytes(request.state)))
 
-        return self._change_machine(MachineEvent.KIND_RESTORE, restore)
+        return self._change_machine(MachineEvent.KIND_RESTORE, restore_machine)
 
     def _set_state(self, request: SetState.Request, response: SetState.Response) -> str:
         values = {
@@ -111,10 +113,10 @@ class Services:
         """Change the machine, publish its new state, and continue from there."""
         if behind := self._gate.find_full_recorder():
             return f"recorder {behind} has to catch up first, ask again then"
-        self._changes.put(kind, change)
+        self._changes.put_change(kind, change)
         return ""
 
     def _set_breakpoint(self, request: BreakWhen.Request, response: BreakWhen.Response) -> str:
-        with self._changes.between_ticks():
-            self._breaks.set(request)
+        with self._changes.pause_between_ticks():
+            self._breaks.set_breakpoint(request)
         return ""

@@ -42,7 +42,7 @@ class Subscriptions:
         self.commands = subscribe(
             MotorCommand,
             "motor_commands",
-            partial(self._take, "motor_commands", self._take_command),
+            partial(self._take_message, "motor_commands", self._take_command),
             ANSWER_SUB_QOS,
             only_from="servo",
             raw=True,
@@ -51,28 +51,28 @@ class Subscriptions:
         if own.view.is_open:
             subscribe(MotionStatus, "motion/status", own.view.show_motion, EVENT_QOS)
         for topic, axes in EXTERNAL_WRENCHES.items():
-            take = partial(self._take, topic, partial(self._take_wrench, topic, axes))
+            take = partial(self._take_message, topic, partial(self._take_wrench, topic, axes))
             subscribe(WrenchStamped, topic, take, qos)
         topic = "emulator/recorders"
-        subscribe(RecorderReport, topic, partial(self._take, topic, self._take_report), qos)
+        subscribe(RecorderReport, topic, partial(self._take_message, topic, self._take_report), qos)
 
-    def _take(self, topic: str, take: Callable[[Any], None], message: Any) -> None:
+    def _take_message(self, topic: str, take: Callable[[Any], None], message: Any) -> None:
         """Take a message of a topic, or report why it is refused."""
         with self._lock:
             try:
                 take(message)
             except Refusal as reason:
-                self._breaks.refused(topic, reason)
+                self._breaks.report_refused(topic, reason)
 
     def _take_command(self, data: bytes) -> None:
         if self._session.is_self_clocked:
-            self._pacer.look()  # it has gone on since
+            self._pacer.check_time()  # it has gone on since
         try:
             command: Any = deserialize_message(data, MotorCommand)
         except (RuntimeError, ValueError):
             raise refuse_bytes("motor_commands", MotorCommand, data) from None
         if command.machine not in (0, get_start_time()):
-            self._diagnostics.count("motor_commands for another emulator")
+            self._diagnostics.count_input("motor_commands for another emulator")
             return
         try:
             names = command.joint_names
@@ -80,10 +80,10 @@ class Subscriptions:
             further = name_inputs("motor_commands", *inputs, len(names))
             self._session.offer(command.tick, names, command.command, further)
         except DuplicateCommand as reason:
-            self._diagnostics.count(f"motor_commands {reason.kind}")
+            self._diagnostics.count_input(f"motor_commands {reason.kind}")
             return
         if self._outgoing.record is not None:
-            self._outgoing.record.put(self.commands.topic_name, data)
+            self._outgoing.record.add_message(self.commands.topic_name, data)
         self._pacer.go_on()
         self.answered()
 
@@ -104,4 +104,4 @@ class Subscriptions:
             rule = f"come when recorder {behind} has caught up"
             raise Refusal(topic, "message", rule, f"at tick {session.tick}")
         push = partial(session.set_external_wrench, link, wrench)
-        self._changes.make(MachineEvent.KIND_EXTERNAL_WRENCH, push)
+        self._changes.make_change(MachineEvent.KIND_EXTERNAL_WRENCH, push)

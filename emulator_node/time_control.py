@@ -21,7 +21,7 @@ class TimeControl:
         self._changes, self._pacer, self._reports = changes, changes.pacer, changes.reports
         self._health, self._status, self._diagnostics = health, status, own.diagnostics
 
-    def pause(self, paused: bool) -> None:
+    def pause_time(self, paused: bool) -> None:
         """Pause logical time, or resume it."""
         self._session.paused = paused
         if paused:
@@ -29,7 +29,7 @@ class TimeControl:
         if self._session.is_answered:
             self._pacer.go_on()
 
-    def step(self) -> str:
+    def step_tick(self) -> str:
         """Advance a paused machine by one tick; return why it cannot, or ""."""
         trouble = ""
         if self._session.paused:
@@ -42,25 +42,25 @@ class TimeControl:
         self._health.report_fault()
         return trouble
 
-    def reset(self, *, paused: bool = False) -> None:
+    def reset_time(self, *, paused: bool = False) -> None:
         """Reset to tick 0, and stay there if `paused`."""
 
-        def reset() -> None:
+        def restart_session() -> None:
             self._session.reset()
             if paused:
                 self._session.paused = True
 
-        with self._changes.between_ticks():
-            self._changes.make(MachineEvent.KIND_RESET, reset)
-            self._gate.begin()
-            self._status.begin()
+        with self._changes.pause_between_ticks():
+            self._changes.make_change(MachineEvent.KIND_RESET, restart_session)
+            self._gate.begin_run()
+            self._status.reset_rates()
             self._diagnostics.report_ok("reset")
             self._reports.publish_tick()
 
-    def power(self, on: bool) -> None:
+    def switch_power(self, on: bool) -> None:
         """Switch the drives' power."""
         switch = partial(setattr, self._session, "powered", on)
-        self._changes.make(MachineEvent.KIND_POWER, switch)
+        self._changes.make_change(MachineEvent.KIND_POWER, switch)
 
 
 class TickStepper:
@@ -78,7 +78,7 @@ class TickStepper:
         self._timer = create_wall_timer(own.node, LOOK_AGAIN, self.go_on)
         self._timer.cancel()
 
-    def begin(
+    def begin_steps(
         self, steps: int, ended: Callable[[str], None], stepped: Callable[[int], None] | None = None
     ) -> None:
         """Start to advance.
@@ -97,7 +97,7 @@ class TickStepper:
         self.left, self._ended, self._stepped = steps, ended, stepped
         self._timer.reset()
 
-    def end(self, trouble: str) -> None:
+    def end_steps(self, trouble: str) -> None:
         """Stop before the last tick, for a reason."""
         ended, self._ended, self.left = self._ended, None, 0
         self._timer.cancel()
@@ -110,15 +110,15 @@ class TickStepper:
             for _ in range(AT_ONCE):
                 if not self.left:
                     return
-                if self._control.step():
+                if self._control.step_tick():
                     break
                 self.left -= 1
                 if self._stepped is not None:
                     self._stepped(self.left)
                 if not self.left:
-                    self.end("")
+                    self.end_steps("")
             session = self._session
             if self.left and session.fault is not None:
-                self.end(f"stopped: {session.fault}")
+                self.end_steps(f"stopped: {session.fault}")
             elif self.left and not session.paused:
-                self.end("the machine is not paused any more")
+                self.end_steps("the machine is not paused any more")

@@ -4,7 +4,7 @@ from geometry_msgs.msg import PoseStamped
 
 from arm_emulator.machine.session.session import Session
 from arm_emulator.ros.messages.event_words import describe_motion
-from arm_emulator.ros.messages.time_stamp import to_nanoseconds
+from arm_emulator.ros.messages.time_stamp import convert_to_nanoseconds
 from arm_emulator.runs.view_of import get_view
 from arm_emulator.view.rerun_stream import RerunStream
 from arm_emulator_msgs.msg import MotionStatus
@@ -57,12 +57,12 @@ class MachineView:
     def show_target(self, target: PoseStamped) -> None:
         """Show a target beside the arm; the machine does not use it."""
         p = target.pose.position
-        self._stream.offer_target(to_nanoseconds(target.header.stamp), (p.x, p.y, p.z))
+        self._stream.offer_target(convert_to_nanoseconds(target.header.stamp), (p.x, p.y, p.z))
 
     def show_motion(self, status: MotionStatus) -> None:
         """Show the state of a motion as an event."""
         text, stamp = describe_motion(status), status.header.stamp
-        self._stream.offer_text(to_nanoseconds(stamp), text)
+        self._stream.offer_text(convert_to_nanoseconds(stamp), text)
 
     def show_event(self, text: str, level: str = "INFO") -> None:
         """Show an event at this tick."""

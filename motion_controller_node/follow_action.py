@@ -18,7 +18,7 @@ from arm_emulator.motion.executor.goal_status import CANCELLED, GoalState, GoalS
 from arm_emulator.motion.executor.goals import GOAL_TOLERANCE, PATH_TOLERANCE
 from arm_emulator.motion.model.joint_reference import JointSetpoint
 from arm_emulator.motion.trajectory.tolerances import Allowed, Tolerances
-from arm_emulator.ros.node.barrier import guard
+from arm_emulator.ros.node.barrier import guard_callback
 from arm_emulator.ros.node.managed_node import ManagedNode
 
 try:
@@ -57,10 +57,12 @@ class FollowAction:
             node,
             FollowJointTrajectory,
             NAME,
-            execute_callback=self._execute,
-            goal_callback=guard(node, NAME, self._handle_goal, lambda *_: GoalResponse.REJECT),
+            execute_callback=self._execute_goal,
+            goal_callback=guard_callback(
+                node, NAME, self._handle_goal, lambda *_: GoalResponse.REJECT
+            ),
             handle_accepted_callback=self._handle_accepted,
-            cancel_callback=guard(
+            cancel_callback=guard_callback(
                 node, NAME, self._handle_cancel, lambda *_: CancelResponse.REJECT
             ),
         )
@@ -90,7 +92,7 @@ class FollowAction:
                 point.positions, point.velocities = positions.tolist(), velocities.tolist()
             goal.publish_feedback(feedback)
 
-    def close(self) -> None:
+    def destroy_server(self) -> None:
         """Destroy the server."""
         self._server.destroy()
 
@@ -109,7 +111,7 @@ class FollowAction:
         self._cancel(self._find_number(goal))
         return CancelResponse.ACCEPT
 
-    async def _execute(self, goal: Any) -> Any:
+    async def _execute_goal(self, goal: Any) -> Any:
         number = self._find_number(goal)
         report = await self._goals[number][1]
         del self._goals[number]

@@ -36,7 +36,12 @@ from arm_emulator.motion.executor.motion_executor import MotionExecutor
 from arm_emulator.motion.model.config import SECTIONS, MotionConfig
 from arm_emulator.motion.model.kinematics import list_moving_joints
 from arm_emulator.motion.planner.tool_controller import Controller, make_controller
-from arm_emulator.ros.messages.time_stamp import NANOSECONDS, check_time, to_nanoseconds, to_stamp
+from arm_emulator.ros.messages.time_stamp import (
+    NANOSECONDS,
+    check_time,
+    convert_to_nanoseconds,
+    convert_to_stamp,
+)
 from arm_emulator.ros.node.duplicate_nodes import DuplicateNodes
 from arm_emulator.ros.node.managed_node import ManagedNode
 from arm_emulator.ros.node.node_parameters import (
@@ -99,9 +104,9 @@ class MotionControllerNode(ManagedNode):
             DESCRIPTION_QOS,
             only_from="emulator",
         )
-        self.start()
+        self.start_lifecycle()
 
-    def configure(self) -> None:
+    def create_entities(self) -> None:
         """Create the topics and services."""
         self._period_ns = round(self._config.period * NANOSECONDS)
         self._controller = None
@@ -147,23 +152,23 @@ class MotionControllerNode(ManagedNode):
         if self._urdf:
             self._take_description(self._urdf)
 
-    def activate(self) -> None:
+    def begin_work(self) -> None:
         """Answer joint states."""
-        self._duplicates.begin()
+        self._duplicates.announce_node()
         if self._controller is None:
             self._diagnostics.report_warning(NO_DESCRIPTION)
         else:
             self._diagnostics.report_ok("waiting for joint_states")
 
-    def deactivate(self) -> None:
+    def stop_work(self) -> None:
         """Drop all targets, trajectories and paths."""
         self._start_over("the motion controller was deactivated")
-        self._duplicates.end()
+        self._duplicates.withdraw_node()
         self._diagnostics.report_ok("inactive: no joint targets")
 
     def _end_action(self) -> None:
         if self._action is not None:
-            self._action.close()
+            self._action.destroy_server()
 
     def _read_sections(self, config: MotionConfig, changes: Mapping[str, Any]) -> MotionConfig:
         """Return parameters with the sections of the node, with some entries changed."""
@@ -223,7 +228,7 @@ class MotionControllerNode(ManagedNode):
         try:
             controller = make_controller(urdf, list_moving_joints(urdf), self._config)
         except Refusal as reason:
-            self._diagnostics.refuse("robot_description", reason)
+            self._diagnostics.refuse_input("robot_description", reason)
             return
         if self._controller is not None:  # targets for another arm
             self._start_over("the robot is another one")
@@ -247,13 +252,13 @@ class MotionControllerNode(ManagedNode):
         kinematics = None if self._controller is None else self._controller.kinematics
         names = () if kinematics is None else kinematics.joint_names
 
-        def take() -> None:
+        def take_goal() -> None:
             check_points(goal)
             self._orders.add_trajectory(
                 trajectory, lambda default: read_tolerances(goal, names, default)
             )
 
-        refusal = self._orders.take(Kind.JOINT_TRAJECTORY, trajectory.header, take)
+        refusal = self._orders.take_order(Kind.JOINT_TRAJECTORY, trajectory.header, take_goal)
         if refusal is not None:
             raise refusal
         return self._motion.reports.numbers[Kind.JOINT_TRAJECTORY]
@@ -271,7 +276,7 @@ class MotionControllerNode(ManagedNode):
         try:
             can = self._order.arrange_values(message.joint_names, message.movable, _MOVABLE)
         except Refusal as reason:
-            self._diagnostics.refuse("servo_states", reason)
+            self._diagnostics.refuse_input("servo_states", reason)
             return
         self._movable = message.header.stamp, can != 0.0
         waiting, self._unanswered = self._unanswered, None
@@ -302,9 +307,9 @@ class MotionControllerNode(ManagedNode):
             v = self._read_optional(message, message.velocity, VELOCITY)
             tau = self._read_loads(message)
         except Refusal as reason:
-            self._diagnostics.refuse("joint_states", reason)
+            self._diagnostics.refuse_input("joint_states", reason)
             return
-        if self._answer is not None and now <= to_nanoseconds(self._answer.header.stamp):
+        if self._answer is not None and now <= convert_to_nanoseconds(self._answer.header.stamp):
             if message.header.stamp == self._answer.header.stamp:
                 self._targets.publish(self._answer)  # a partner came late or lost it
                 return
@@ -320,9 +325,9 @@ class MotionControllerNode(ManagedNode):
             self._diagnostics.log.log_info("begun", "joint states arrive, targets are taken")
         self._now_ns = now
         instruction = self._motion.compute_setpoint(controller, now, q, v, movable, tau)
-        self._report()
+        self._report_goals()
         self._report_status()
-        self._orders.publish()
+        self._orders.publish_limit()
         # The instructor keeps published values within the bounds.
         answer = JointState(name=controller.kinematics.joint_names)
         answer.header.stamp = message.header.stamp
@@ -341,16 +346,16 @@ class MotionControllerNode(ManagedNode):
         """Leave joint states of an earlier time unanswered, until the emulator announces them."""
         assert self._answer is not None
         self._early = message
-        answered = to_nanoseconds(self._answer.header.stamp) / NANOSECONDS
+        answered = convert_to_nanoseconds(self._answer.header.stamp) / NANOSECONDS
         if self._servo_reports:  # ours repeats what was not answered
-            self._diagnostics.count("joint_states repeated late, or before their reset")
+            self._diagnostics.count_input("joint_states repeated late, or before their reset")
         elif time_ns == 0:
             rule = f"be set: those of {answered:g} s were answered, and no reset was announced"
-            self._diagnostics.refuse(
+            self._diagnostics.refuse_input(
                 "joint_states", Refusal("joint_states", "header.stamp", rule, "0 s, unset")
             )
         else:
-            self._diagnostics.count("joint_states of an earlier time, without a reset")
+            self._diagnostics.count_input("joint_states of an earlier time, without a reset")
 
     def _read_loads(self, message: JointState) -> Array | None:
         """Return the loads of the motors; None of other servos: some have amperes as `effort`."""
@@ -366,7 +371,7 @@ class MotionControllerNode(ManagedNode):
             if values:
                 return self._order.arrange_values(message.name, values, bound)
         except Refusal:
-            self._diagnostics.count(f"joint_states without a sound {bound.name}")
+            self._diagnostics.count_input(f"joint_states without a sound {bound.name}")
         return None
 
     def _report_status(self) -> None:
@@ -377,13 +382,13 @@ class MotionControllerNode(ManagedNode):
             message = MotionStatus(
                 kind=int(report.kind),
                 number=report.number,
-                stamp=to_stamp(report.stamp_ns),
+                stamp=convert_to_stamp(report.stamp_ns),
                 state=int(report.state),
                 reason=report.reason,
                 distance=report.distance,
                 angle=report.angle,
             )
-            message.header.stamp = to_stamp(self._now_ns)
+            message.header.stamp = convert_to_stamp(self._now_ns)
             self._status.publish(message)
             if (
                 report.state.is_final and report.state is not GoalState.REFUSED
@@ -393,11 +398,11 @@ class MotionControllerNode(ManagedNode):
                     report.state.name, str(report)
                 )
 
-    def _report(self) -> None:
+    def _report_goals(self) -> None:
         restarts = self._motion.restarts
         if restarts != self._diagnostics.values.get("began anew", 0):
             self._diagnostics.values["began anew"] = restarts
-            self._diagnostics.error(f"{self._motion.trouble}; began anew, the arm is held")
+            self._diagnostics.report_error(f"{self._motion.trouble}; began anew, the arm is held")
             return
         if self._motion.torques_unknown:
             self._diagnostics.values["no torques"] = self._motion.torques_unknown

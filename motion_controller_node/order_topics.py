@@ -93,7 +93,7 @@ class OrderTopics:
         names, controller = list(message.joint_names), self._now()[0]
         self._motion.add_trajectory(controller, names, points, stamp_ns, tolerances)
 
-    def take(self, kind: Kind, header: Header, take: Callable[[], None]) -> Refusal | None:
+    def take_order(self, kind: Kind, header: Header, take: Callable[[], None]) -> Refusal | None:
         """Hand over an order, and publish its result; return the reason of a refusal."""
         refusal = None
         reports = self._motion.reports
@@ -103,17 +103,17 @@ class OrderTopics:
         except Refusal as reason:
             if reports.numbers[kind] == before:  # the executor has not received it
                 reports.refuse_goal(kind, _read_stamp(header), reason)
-            self._diagnostics.refuse(kind.topic, reason)
+            self._diagnostics.refuse_input(kind.topic, reason)
             refusal = reason
         else:
             accepted = self._diagnostics.values[PLURALS[kind]]
             assert isinstance(accepted, int)
             self._diagnostics.values[PLURALS[kind]] = accepted + 1
-            self._diagnostics.publish()
+            self._diagnostics.publish_now()
         self._report()
         return refusal
 
-    def publish(self) -> None:
+    def publish_limit(self) -> None:
         """Publish the code of the jog's limit, if it has changed."""
         jog = self._motion.jogging
         code = 0 if jog is None else int(jog.status)
@@ -122,18 +122,18 @@ class OrderTopics:
             self._status.publish(Int8(data=code))
 
     def _handle_tool_target(self, message: PoseStamped) -> None:
-        def take() -> None:
+        def take_target() -> None:
             self._check_frame("tool_target", message.header)
             time_ns = check_time("tool_target", message.header.stamp)
             self._motion.add(time_ns, _read_pose(message.pose, "tool_target"))
 
-        self.take(Kind.TOOL_TARGET, message.header, take)
+        self.take_order(Kind.TOOL_TARGET, message.header, take_target)
 
     def _handle_joint_trajectory(self, message: JointTrajectory) -> None:
-        self.take(Kind.JOINT_TRAJECTORY, message.header, lambda: self.add_trajectory(message))
+        self.take_order(Kind.JOINT_TRAJECTORY, message.header, lambda: self.add_trajectory(message))
 
     def _handle_tool_path(self, message: Path) -> None:
-        def take() -> None:
+        def take_path() -> None:
             check_number_of_poses(len(message.poses))
             for header in (message.header, *(pose.header for pose in message.poses)):
                 self._check_frame("tool_path", header)
@@ -144,20 +144,20 @@ class OrderTopics:
             poses = [_read_pose(pose.pose, "tool_path") for pose in message.poses]
             self._motion.add_path(self._now()[0], poses, stamp_ns, distinct_times)
 
-        self.take(Kind.TOOL_PATH, message.header, take)
+        self.take_order(Kind.TOOL_PATH, message.header, take_path)
 
     def _handle_twist(self, message: TwistStamped) -> None:
-        def command() -> JogCommand:
+        def make_command() -> JogCommand:
             controller, config, time_ns = self._read_jog("delta_twist_cmds", message.header)
             linear, angular = message.twist.linear, message.twist.angular
             twist = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
             link = message.header.frame_id
             return make_twist_command(time_ns, twist, link, controller.kinematics, config)
 
-        self.take(Kind.JOG, message.header, lambda: self._motion.take_jog(command()))
+        self.take_order(Kind.JOG, message.header, lambda: self._motion.take_jog(make_command()))
 
     def _handle_joint_jog(self, message: Any) -> None:
-        def command() -> JogCommand:
+        def make_command() -> JogCommand:
             topic = "delta_joint_cmds"
             if len(message.displacements):
                 rule = "be empty: speeds are taken, no displacements"
@@ -166,7 +166,7 @@ class OrderTopics:
             names, speeds = list(message.joint_names), message.velocities
             return make_joint_command(time_ns, names, speeds, controller.kinematics, config)
 
-        self.take(Kind.JOG, message.header, lambda: self._motion.take_jog(command()))
+        self.take_order(Kind.JOG, message.header, lambda: self._motion.take_jog(make_command()))
 
     def _read_jog(self, topic: str, header: Header) -> tuple[Controller, MotionConfig, int]:
         """Return controller, parameters and the logical time of a command [ns]."""

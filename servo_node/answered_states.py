@@ -17,11 +17,11 @@ from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator.toolchain.unit import compile_once
 from arm_emulator_msgs.msg import MotorState
-from servo_node.c import ANSWERED_STATES, answered_states_unit
+from servo_node.c import ANSWERED_STATES, make_answered_states_unit
 
 MACHINE_SILENCE = 1.0  # s, wall: an emulator silent for so long may be replaced by another
 
-answered_states = compile_once(answered_states_unit)
+answered_states = compile_once(make_answered_states_unit)
 
 
 class AnsweredStates:
@@ -113,14 +113,14 @@ class AnsweredStates:
             {STAMP: ffi.addressof(at, "target_time")},
         )
         at.state, at.target = self.states.struct, self.targets.struct
-        at.applied_field, at.brake_field = map(self.states.field, ("applied", "brake_closed"))
-        at.v_field, at.tau_field = map(self.targets.field, ("velocity", "effort"))
+        at.applied_field, at.brake_field = map(self.states.find_field, ("applied", "brake_closed"))
+        at.v_field, at.tau_field = map(self.targets.find_field, ("velocity", "effort"))
 
     def publish_on(self, command: Outgoing, state: Outgoing, joint_state: Outgoing) -> None:
         """Let C publish motor commands, servo states and joint states."""
         at = self.at
         for outgoing in (command, state, joint_state):
-            outgoing.bind()  # nothing is taken once the node has no publishers
+            outgoing.bind_to_c()  # nothing is taken once the node has no publishers
         at.motor_command, at.servo_state, at.joint_state = (
             outgoing.struct for outgoing in (command, state, joint_state)
         )

@@ -33,7 +33,7 @@ from arm_emulator.ros.node.managed_node import ManagedNode
 from arm_emulator.ros.node.node_parameters import (
     accept_changes,
     declare_parameters,
-    describe,
+    describe_parameter,
     replace_parameters,
 )
 from arm_emulator.ros.node.node_shell import (
@@ -107,9 +107,9 @@ class ServoNode(ManagedNode):
             descriptor = ParameterDescriptor(description=words, dynamic_typing=True)
             if name.rsplit(".", 1)[-1] in SETTABLE:
                 self.settable.add(name)
-            describe(self, name, descriptor, number)
+            describe_parameter(self, name, descriptor, number)
         self._next_config: ServoConfig | None = None  # from the next tick on
-        accept_changes(self, self._changed, self._take_parameters)
+        accept_changes(self, self._check_changes, self._take_parameters)
         self._diagnostics = Diagnostics(self, "servo drives")
         self._duplicates = DuplicateNodes(
             self,
@@ -118,9 +118,9 @@ class ServoNode(ManagedNode):
             "motor_commands",
             "the emulator takes the commands of the first one",
         )
-        self.start()
+        self.start_lifecycle()
 
-    def configure(self) -> None:
+    def create_entities(self) -> None:
         """Create the drives, and their topics."""
         own, names = self._own, self._config.joint_names
         self._lockstep = own.clock == "lockstep"
@@ -160,7 +160,7 @@ class ServoNode(ManagedNode):
         state = subscribe(
             MotorState,
             "motor_states",
-            self._on_state,
+            self._handle_state,
             STATE_SUB_QOS,
             only_from="emulator",
             raw=True,
@@ -179,22 +179,22 @@ class ServoNode(ManagedNode):
             (target, self._calls.answered_states_take_target, argument),
         )
         self.hot = self
-        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(Trigger, "~/reset", self._handle_reset)
         create_wall_timer(self, SILENCE_CHECK, self._check_silence)
         self._diagnostics.report_ok("inactive: no commands")
 
-    def activate(self) -> None:
+    def begin_work(self) -> None:
         """Answer motor states. In lock-step time has stood, and the servo goes on."""
-        self._duplicates.begin()
+        self._duplicates.announce_node()
         if not self._lockstep:
             self._start_over()
         self._diagnostics.report_ok("active")
 
-    def deactivate(self) -> None:
+    def stop_work(self) -> None:
         """Answer no more; in real time the power is cut at last, since the arm goes on moving."""
         if not self._lockstep and self._at.tick >= 0:
-            self._cut()
-        self._duplicates.end()
+            self._cut_power()
+        self._duplicates.withdraw_node()
         self._diagnostics.report_ok("inactive: no commands")
 
     def _read_servo_parameters(self, changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -207,7 +207,7 @@ class ServoNode(ManagedNode):
             if name.split(".")[0] not in others
         }
 
-    def _changed(self, changes: Mapping[str, Any]) -> tuple[ServoNodeParameters, ServoConfig]:
+    def _check_changes(self, changes: Mapping[str, Any]) -> tuple[ServoNodeParameters, ServoConfig]:
         own = {name: value for name, value in changes.items() if name in vars(self._own)}
         config = ServoConfig.from_mapping(self._read_servo_parameters(changes), PARAMETERS)
         Servo(config)  # refuses invalid parameters
@@ -220,12 +220,12 @@ class ServoNode(ManagedNode):
         else:
             self._config = config
 
-    def begin(self) -> None:
+    def begin_in_c(self) -> None:
         """Let messages be taken in C, see `HotPath`."""
         self._at.open = self._next_config is None
         self._at.states = self._at.answers = 0
 
-    def end(self) -> None:
+    def end_in_c(self) -> None:
         """Take over the results of C, see `HotPath`."""
         at = self._at
         if at.states:
@@ -243,12 +243,12 @@ class ServoNode(ManagedNode):
 
     # Topics
 
-    def _on_state(self, data: bytes) -> None:
+    def _handle_state(self, data: bytes) -> None:
         at, calls, diagnostics = self._at, self._calls, self._diagnostics
         at.now = read_clock()
         verdict = calls.answered_states_judge(at, data, len(data))
         if refusal := self._find_refusal(verdict, data):
-            diagnostics.refuse("motor_states", refusal)
+            diagnostics.refuse_input("motor_states", refusal)
             return
         at.heard = at.now
         if verdict == REPEATED:  # a partner came late, or lost a message
@@ -266,7 +266,7 @@ class ServoNode(ManagedNode):
             self._drives.set_config(self._config)
         at.answers = 0
         calls.answered_states_go_on(at)
-        self.end()
+        self.end_in_c()
 
     def _find_refusal(self, verdict: int, data: bytes) -> Refusal | None:
         at = self._at
@@ -276,38 +276,38 @@ class ServoNode(ManagedNode):
         if verdict == OF_ANOTHER:
             rule = f"be {at.machine}, the emulator that was started first"
             return Refusal("motor_states", "machine", rule, at.state_machine)
-        return self._hot.states.refusal(data)
+        return self._hot.states.make_refusal(data)
 
     def _take_target(self, data: bytes) -> None:
         at, calls, diagnostics = self._at, self._calls, self._diagnostics
         verdict = calls.answered_states_judge_target(at, data, len(data))
         if verdict in LATE:
-            diagnostics.count(f"joint_targets {LATE[verdict]}")
+            diagnostics.count_input(f"joint_targets {LATE[verdict]}")
         elif verdict == TARGET_OFF_TIME:
             rule = f"be that of the joint states it answers, {_format_seconds(at.cycle)}"
             refusal = Refusal(
                 "joint_targets", "header.stamp", rule, _format_seconds(at.target_time)
             )
-            diagnostics.refuse("joint_targets", refusal)
-        elif malformed := self._hot.targets.refusal(data):
-            diagnostics.refuse("joint_targets", malformed)
+            diagnostics.refuse_input("joint_targets", refusal)
+        elif malformed := self._hot.targets.make_refusal(data):
+            diagnostics.refuse_input("joint_targets", malformed)
         elif verdict == DUE:
             at.states = at.answers = 0
             calls.answered_states_aim(at)
-            self.end()
+            self.end_in_c()
 
     def _report_drives(self) -> None:
         drives, diagnostics = self._drives, self._diagnostics
         restarts = drives.servo.restarts
         if restarts != diagnostics.values.get("began anew", 0):
             diagnostics.values["began anew"] = restarts
-            diagnostics.error("the servo's state was no longer finite and began anew")
+            diagnostics.report_error("the servo's state was no longer finite and began anew")
         elif drives.state is WatchdogState.OK:
             diagnostics.report_ok("following")
         elif drives.state is WatchdogState.HOLD:
             diagnostics.report_warning(f"holding: {drives.reason}")
         else:
-            diagnostics.error(drives.reason)
+            diagnostics.report_error(drives.reason)
 
     def _check_silence(self) -> None:
         """Cut the power when a running machine falls silent.
@@ -320,14 +320,16 @@ class ServoNode(ManagedNode):
         self._diagnostics.report_warning(f"no motor state for {silence:.0f} s")
         if not self._lockstep and not self._at.silent:
             self._at.silent = 1
-            self._cut()
+            self._cut_power()
 
-    def _cut(self) -> None:
+    def _cut_power(self) -> None:
         """Publish commands of 0."""
         self._drives.servo.commanded[:] = 0.0
         self._calls.answered_states_repeat(self._at)
 
-    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _handle_reset(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
         self._start_over()
         self._at.machine = 0
         response.success, response.message = True, "servo and watchdog start over"

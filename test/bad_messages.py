@@ -8,7 +8,7 @@ from geometry_msgs.msg import PoseStamped
 from network import JOINTS
 from sensor_msgs.msg import JointState
 
-from arm_emulator.ros.messages.time_stamp import to_stamp
+from arm_emulator.ros.messages.time_stamp import convert_to_stamp
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 
 ZERO = [0.0, 0.0, 0.0]
@@ -23,7 +23,7 @@ def joint_state(
     time_ns: int, position: list[float], names: list[str] = JOINTS, **more: list[float]
 ) -> Any:
     message = JointState(name=names, position=position, **more)
-    message.header.stamp = to_stamp(time_ns)
+    message.header.stamp = convert_to_stamp(time_ns)
     return message
 
 
@@ -31,7 +31,7 @@ def motor_state(at: int, **change: Any) -> Any:
     message = MotorState(
         tick=at, joint_names=JOINTS, encoder_counts=[0, 0, 0], current=ZERO, powered=True
     )
-    message.header.stamp = to_stamp(at * 1_000_000)
+    message.header.stamp = convert_to_stamp(at * 1_000_000)
     for field, value in change.items():
         setattr(message, field, value)
     return message

@@ -142,5 +142,5 @@ def session_of(in_process: InProcess) -> Any:
 
 
 def events_of(bag: Path) -> list[MachineEvent]:
-    printed = Bag(bag).messages(["/emulator/events"])
+    printed = Bag(bag).read_messages(["/emulator/events"])
     return [deserialize_message(message.data, MachineEvent) for message in printed]

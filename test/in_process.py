@@ -20,7 +20,7 @@ from arm_emulator.base.io.config_files import find_config
 from arm_emulator.ros.c import MIDDLEWARE
 from arm_emulator.ros.messages.message_types import read_definition
 from arm_emulator.ros.messages.middleware import get_middleware
-from arm_emulator.ros.node.barrier import guard, refuse_request
+from arm_emulator.ros.node.barrier import guard_callback, refuse_request
 from arm_emulator.ros.process.ros_domain import own_domain
 from arm_emulator.ros.recording.bag_metadata import Topic
 from arm_emulator.ros.recording.bag_writer import BagWriter
@@ -93,7 +93,7 @@ class Wires:
             def create_service(self, kind: type, name: str, callback: Any, **named: Any) -> Any:
                 if not name.startswith("~/"):  # rclpy's own
                     return super().create_service(kind, name, callback, **named)
-                answer = guard(self, name[2:], callback, refuse_request)
+                answer = guard_callback(self, name[2:], callback, refuse_request)
                 wires.services[f"{self.get_name()}/{name[2:]}"] = answer
                 return None
 
@@ -222,7 +222,7 @@ class InProcess:
         done: Counter[int] = Counter()
         hot = self.nodes[node].hot
         for message in hot.outgoing:
-            message.bind()
+            message.bind_to_c()
         for subscription, take, argument in hot.takes:
             topic = subscription.topic_name[1:]
             (python,) = (
@@ -234,9 +234,9 @@ class InProcess:
             def both(
                 data: bytes, take: Any = take, argument: Any = argument, python: Any = python
             ) -> None:
-                hot.begin()
+                hot.begin_in_c()
                 result = take(argument, data, len(data))
-                hot.end()
+                hot.end_in_c()
                 done[result] += 1
                 if result:
                     python(data)
@@ -285,7 +285,7 @@ class InProcess:
                     numbers[topic] = writer.add_topic(
                         Topic(f"/{topic}", name, read_definition(name))
                     )
-                writer.write(numbers[topic], at, at, data)
+                writer.write_message(numbers[topic], at, at, data)
         return bag
 
     def timers(self) -> None:

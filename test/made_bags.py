@@ -12,7 +12,7 @@ from std_msgs.msg import Header
 from arm_emulator import Session, load_scene
 from arm_emulator.machine.plant.measured_fields import MeasuredFields
 from arm_emulator.ros.messages.message_types import read_definition
-from arm_emulator.ros.messages.time_stamp import to_stamp
+from arm_emulator.ros.messages.time_stamp import convert_to_stamp
 from arm_emulator.ros.recording.bag_metadata import Topic
 from arm_emulator.ros.recording.bag_writer import BagWriter
 from arm_emulator_msgs.msg import MotorCommand, MotorState
@@ -42,12 +42,12 @@ class EmulatorBag:
     def send(self, topic: str, **fields: Any) -> None:
         self._clock += 1000
         if topic != "/motor_commands":
-            fields["header"] = Header(stamp=to_stamp(self._session.logical_ns))
+            fields["header"] = Header(stamp=convert_to_stamp(self._session.logical_ns))
         message = self._kinds[topic](**fields)
         if topic == "/motor_states":
             self._measured.size_message(message, self._session.measured)
         data = serialize_message(message)
-        self._writer.write(self._numbers[topic], self._clock, self._clock, data)
+        self._writer.write_message(self._numbers[topic], self._clock, self._clock, data)
 
     def report(self, machine: int = 0) -> None:
         """Send the present motor state."""

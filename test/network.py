@@ -23,7 +23,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds, to_stamp
+from arm_emulator.ros.messages.time_stamp import (
+    NANOSECONDS,
+    convert_to_nanoseconds,
+    convert_to_stamp,
+)
 from arm_emulator.ros.node.network_client import NetworkClient
 from arm_emulator.ros.process.bringup import Bringup
 from arm_emulator.ros.process.ros_domain import own_domain
@@ -193,7 +197,7 @@ class User:
     ) -> None:
         """Publish a tool target [m] that holds from logical time `at` [s]."""
         message = PoseStamped()
-        message.header.stamp = to_stamp(round(at * NANOSECONDS))
+        message.header.stamp = convert_to_stamp(round(at * NANOSECONDS))
         message.header.frame_id = frame
         p, o = message.pose.position, message.pose.orientation
         p.x, p.y, p.z = position
@@ -327,7 +331,7 @@ class User:
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
-            self.stamps[status.name] = to_nanoseconds(array.header.stamp)
+            self.stamps[status.name] = convert_to_nanoseconds(array.header.stamp)
             self.diagnostics[status.name] = status
             printed = self.words.setdefault(status.name, [])
             if not printed or printed[-1] != status.message:
@@ -404,9 +408,9 @@ def network(
     with user(clock=clock) as network_user, nodes:
         yield network_user, nodes
         for name in only:
-            code = nodes.process(name).poll()
+            code = nodes.get_process(name).poll()
             assert code is None, f"{name} ended by itself with {code}: {logs(log)}"
-        codes = nodes.stop()
+        codes = nodes.stop_nodes()
         assert set(codes.values()) == {0}, f"exit codes {codes}: {logs(log)}"
 
 
@@ -419,7 +423,7 @@ def wait_until_met(client: NetworkClient, node: str, patience: float) -> bool:
     """
     parameter_client = client.create_client(GetParameters, f"{node}/get_parameters")
     try:
-        return client.ask(parameter_client, GetParameters.Request(), patience) is not None
+        return client.call_service(parameter_client, GetParameters.Request(), patience) is not None
     finally:
         client.destroy_client(parameter_client)
 
@@ -499,7 +503,7 @@ def node(module: str, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
 
 def kill(user: User, nodes: Bringup, name: str) -> None:
     """Kill a node; what it left unsaid stays unsaid."""
-    process = nodes.process(name)
+    process = nodes.get_process(name)
     process.send_signal(signal.SIGKILL)
     process.wait()
     user.forget_listeners(name)

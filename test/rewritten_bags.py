@@ -34,11 +34,15 @@ def rewrite(
             new = Topic(topic.name, topic.type, topic.definition, topic.offered, topic.type_hash)
             numbers[name] = writer.add_topic(new)
         for message in first:
-            writer.write(numbers[message.topic], message.received, message.published, message.data)
-        for message in original.messages():
+            writer.write_message(
+                numbers[message.topic], message.received, message.published, message.data
+            )
+        for message in original.read_messages():
             data = change(message)
             if data is not None:
-                writer.write(numbers[message.topic], message.received, message.published, data)
+                writer.write_message(
+                    numbers[message.topic], message.received, message.published, data
+                )
     return copy
 
 

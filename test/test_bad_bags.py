@@ -35,7 +35,7 @@ def damaged(folder: Path) -> Path:
 def foreign_topics(folder: Path) -> Path:
     with BagWriter(folder) as writer:
         number = writer.add_topic(Topic("/talk", "std_msgs/msg/String"))
-        writer.write(number, 1, 1, serialize_message(String(data="hello")))
+        writer.write_message(number, 1, 1, serialize_message(String(data="hello")))
     return folder
 
 
@@ -44,7 +44,7 @@ def changed_definition(folder: Path) -> Path:
         for topic, kind in TYPES.items():
             name = f"arm_emulator_msgs/msg/{kind.__name__}"
             number = writer.add_topic(Topic(topic, name, "uint64 tick\nfloat32[] value\n"))
-            writer.write(number, 1, 1, serialize_message(kind()))
+            writer.write_message(number, 1, 1, serialize_message(kind()))
     return folder
 
 

@@ -94,7 +94,7 @@ def restart(user: User, bag: Path) -> None:
             reset_at = time.monotonic() + 2.0  # s; the recorder flushes every half second
         reported = {
             (m.topic, deserialize_message(m.data, TYPES[m.topic]).tick)
-            for m in Bag(bag).messages(TYPES)
+            for m in Bag(bag).read_messages(TYPES)
         }
         return reported >= {(topic, 0) for topic in TYPES}
 
@@ -171,7 +171,7 @@ def test_a_bag_of_another_arithmetic_is_named(
 
 def messages(bag: Path) -> list[Any]:
     kinds = {**TYPES, "/emulator/joint_states": JointState}
-    return [deserialize_message(m.data, kinds[m.topic]) for m in Bag(bag).messages(kinds)]
+    return [deserialize_message(m.data, kinds[m.topic]) for m in Bag(bag).read_messages(kinds)]
 
 
 STATES, COMMANDS, TRUTH = "/motor_states", "/motor_commands", "/emulator/joint_states"
@@ -225,7 +225,7 @@ def test_a_change_of_a_bag_is_detected(
 def test_rosbags_reads_it_back(recording: tuple[Path, str]) -> None:
     """An independent reader: metadata, QoS, definitions, and every byte."""
     bag, printed = recording
-    mine = list(Bag(bag).messages())
+    mine = list(Bag(bag).read_messages())
     with Reader(bag) as reader:
         assert reader.message_count == len(mine)
         assert f": {len(mine)} messages" in printed
@@ -251,7 +251,7 @@ def test_rosbags_reads_it_back(recording: tuple[Path, str]) -> None:
 
 def test_a_replay_publishes_the_same_bytes_in_the_same_order(recording: tuple[Path, str]) -> None:
     bag, _ = recording
-    expected = [m.data for m in Bag(bag).messages(["/motor_states"])]
+    expected = [m.data for m in Bag(bag).read_messages(["/motor_states"])]
     actual: list[bytes] = []
     # The only listener: the replay waits for no second one.
     with own_domain() as domain, listener(domain, actual) as spin:
@@ -290,7 +290,7 @@ def test_a_late_listener_gets_a_replayed_description(
 ) -> None:
     """Between the description and the only other message the replay waits longer than any test."""
     bag = recording[0]
-    last = list(Bag(bag).messages([STATES]))[-1].data
+    last = list(Bag(bag).read_messages([STATES]))[-1].data
 
     def description_and_end(message: BagMessage) -> bytes | None:
         is_end = message.topic == STATES and message.data == last
@@ -332,13 +332,13 @@ def test_a_killed_recorder_leaves_its_flushed_messages(tmp_path: Path) -> None:
         recorder.send_signal(signal.SIGKILL)
         recorder.wait()
     file = bag / "bag_0.mcap"
-    saved = [deserialize_message(m.data, String).data for m in Bag(bag).messages(["/talk"])]
+    saved = [deserialize_message(m.data, String).data for m in Bag(bag).read_messages(["/talk"])]
     assert not Bag(bag).complete
     assert len(saved) > 1
     assert saved == [f"word {k}" for k in range(len(saved))]
     # And cut off in the middle of a chunk: the chunks before it.
     os.truncate(file, file.stat().st_size - 20)
-    cut = [deserialize_message(m.data, String).data for m in Bag(bag).messages(["/talk"])]
+    cut = [deserialize_message(m.data, String).data for m in Bag(bag).read_messages(["/talk"])]
     assert 0 < len(cut) <= len(saved)
     assert cut == saved[: len(cut)]
 

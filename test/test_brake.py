@@ -205,7 +205,9 @@ def test_a_run_with_brakes_is_repeated_to_the_last_bit(
         def between() -> None:
             observed.update(nodes.newest("motor_states").brake_closed)
             if draw.random() < 0.02:
-                nodes.nodes["emulator"]._status.report()  # by which `check-bag` knows the clock
+                nodes.nodes[
+                    "emulator"
+                ]._status.publish_status()  # by which `check-bag` knows the clock
                 assert nodes.call("emulator/power", draw.random() < 0.5).success
 
         go_on(nodes, 200, between)

@@ -135,7 +135,7 @@ def test_a_machine_that_has_diverged_goes_on_when_it_is_put_elsewhere(
             go_on(nodes, 20)
             assert session_of(nodes).fault is None and session_of(nodes).tick >= tick + 20
         assert faults > 3, "the test is of something"
-        nodes.nodes["emulator"]._status.report()
+        nodes.nodes["emulator"]._status.publish_status()
         nodes.write(tmp_path / "bag")
     assert check_bag(tmp_path / "bag", scene="three_axis") == 0
 

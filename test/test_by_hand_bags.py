@@ -36,7 +36,9 @@ def recorded(clock: str, seed: int, bag: Path, varied: Path) -> set[str]:
 
         def between() -> None:
             if draw.random() < 0.02:
-                nodes.nodes["emulator"]._status.report()  # by which `check-bag` knows the clock
+                nodes.nodes[
+                    "emulator"
+                ]._status.publish_status()  # by which `check-bag` knows the clock
                 hand.changes()
 
         go_on(nodes, 400, between)
@@ -197,7 +199,7 @@ def test_a_network_changed_by_hand_is_recorded_and_checked(clock: str, tmp_path:
     assert len(heard) > 8 and heard in runs, "changes that the recorder heard"
     states = [
         deserialize_message(m.data, MotorState).tick
-        for m in Bag(tmp_path / "recorder").messages(["/motor_states"])
+        for m in Bag(tmp_path / "recorder").read_messages(["/motor_states"])
     ]
     if clock == "lockstep":
         assert check_bag(tmp_path / "recorder", scene="three_axis") == 0, f"{len(states)} states"

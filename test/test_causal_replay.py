@@ -14,7 +14,7 @@ from test_command_line import run
 
 from arm_emulator.base.io.config_files import find_config_folder
 from arm_emulator.ros.messages.message_types import get_message_class
-from arm_emulator.ros.messages.time_stamp import to_nanoseconds, to_stamp
+from arm_emulator.ros.messages.time_stamp import convert_to_nanoseconds, convert_to_stamp
 from arm_emulator.ros.process.ros_domain import own_domain
 from arm_emulator.ros.recording import causal_replay
 from arm_emulator.ros.recording.bag import Bag, BagMessage
@@ -38,7 +38,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with network(folder / "log", start="paused", record=bag) as (user, _):
         user.await_start()
         target = PoseStamped()
-        target.header.stamp = to_stamp(100_000_000)
+        target.header.stamp = convert_to_stamp(100_000_000)
         p, o = target.pose.position, target.pose.orientation
         (p.x, p.y, p.z), o.w = (0.6, 0.1, 0.3), 1.0  # reached or not, the arm moves
         user.publish(user.tool_targets, target)
@@ -86,7 +86,7 @@ def test_commands_recorded_long_before_the_first_state_do_not_matter(
     """A recorder that finds the servo long before the emulator, which is reset afterwards."""
     monkeypatch.setattr(causal_replay, "AHEAD", 100)
     shift, earlier = 1_000_000_000_000, list[BagMessage]()
-    for message in Bag(bag).messages(["/motor_commands"]):
+    for message in Bag(bag).read_messages(["/motor_commands"]):
         command = deserialize_message(message.data, MotorCommand)
         command.tick += 10 * TICKS  # of a run that went farther
         earlier.append(
@@ -115,7 +115,7 @@ def test_a_recorder_that_ends_before_the_last_joint_targets_loses_no_answer(
 
     def recorded(message: BagMessage) -> bytes | None:
         header = getattr(deserialize_message(message.data, kinds[message.topic]), "header", None)
-        at = None if header is None else to_nanoseconds(header.stamp)
+        at = None if header is None else convert_to_nanoseconds(header.stamp)
         after = at is not None and at > (last + 3) * 1_000_000
         lost = message.topic == "/joint_targets" and at == last * 1_000_000
         return None if after or lost else message.data

@@ -39,7 +39,7 @@ def test_a_message_whose_figures_change_waits_for_its_second(
         health.report_warning(
             f"holding: no joint target for {1e-3 * tick:.3g} s, more than hold_after"
         )
-    health.publish()  # as once in a second
+    health.publish_now()  # as once in a second
     assert len(printed) == 2, "the first at once, and the newest when its second has come"
     assert "for 0 s" in printed[0] and "for 0.999 s" in printed[1]
 
@@ -52,7 +52,7 @@ def test_changed_words_or_another_level_are_published_immediately(
     health.report_warning("following")
     health.report_warning("holding: 1e-5 rad")
     health.report_warning("holding: -2.5e+3 rad")
-    health.error("holding: 7 rad")
+    health.report_error("holding: 7 rad")
     assert printed == ["following", "following", "holding: 1e-5 rad", "holding: 7 rad"]
 
 
@@ -84,7 +84,7 @@ def test_a_node_logs_refusals_and_outcomes(
                 lambda level, kind, line: lines.append((level, kind, line)), level
             )
             monkeypatch.setattr(log, level, put)
-    nodes.nodes["servo"]._diagnostics.refuse("motor_states", Refusal("here", "q", "be 1", 2))
+    nodes.nodes["servo"]._diagnostics.refuse_input("motor_states", Refusal("here", "q", "be 1", 2))
     motion = nodes.nodes["motion_controller"]
     motion._motion.reports.waiting.extend(
         GoalStatus(state, "a reason", 0.0012, kind=Kind.TOOL_TARGET, number=1, stamp_ns=0)

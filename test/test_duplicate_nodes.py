@@ -67,7 +67,7 @@ def test_a_second_emulator_is_named_and_silent_until_the_first_has_ended(
     user.wait("the run", lambda: user.tick >= start_at)
     # On a busy machine the second may speak before it finds the first; the servo knows better.
     user.machine = started(user, "emulator")
-    first = nodes.process("emulator")
+    first = nodes.get_process("emulator")
     with node("emulator_node.node", *second) as second_process:
         user.wait("the silence", lambda: user.printed("emulator_2", SILENT))
         words = user.printed("emulator_2", SILENT)[0]
@@ -106,7 +106,7 @@ def test_a_second_emulator_is_named_and_silent_until_the_first_has_ended(
             assert_same_bits(user.motor_states(), offline_states(run, TICKS), TICKS)
         assert user.call("emulator_2/pause", True).success
         user.wait("no more words", lambda: not user.value("emulator_2", "another emulator"))
-        nodes.start("emulator")  # for the ending; now this one is second
+        nodes.start_node("emulator")  # for the ending; now this one is second
         user.wait("the third to be silent", lambda: user.printed("emulator", SILENT))
 
 
@@ -130,10 +130,10 @@ def test_two_servos_and_two_motion_controllers_are_named(
         node("motion_controller_node.node", "--params-file", motion) as second_motion,
     ):
         expected = {
-            "servo": {str(second_servo.pid), str(nodes.process("servo").pid)},
+            "servo": {str(second_servo.pid), str(nodes.get_process("servo").pid)},
             "motion_controller": {
                 str(second_motion.pid),
-                str(nodes.process("motion_controller").pid),
+                str(nodes.get_process("motion_controller").pid),
             },
         }
         user.wait("both sides to name the other", lambda: named() == expected)
@@ -169,7 +169,7 @@ def test_a_command_for_another_emulator_is_not_taken() -> None:
             nodes.send("motor_commands", foreign)
             counted = emulator._diagnostics.values["motor_commands for another emulator"]
             assert counted == count, "commands that are counted as others'"
-        emulator._status.report()
+        emulator._status.publish_status()
         status = nodes.newest("emulator/status")
         assert status.tick == nodes.newest("motor_states").tick == 0, "the machine has moved"
         assert status.phase == EmulatorStatus.PHASE_WAITING, "for its own command"

@@ -18,7 +18,7 @@ from arm_emulator import load_scene, load_servo_config
 from arm_emulator.cli.commands import status
 from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.motion.planner.tool_controller import make_controller
-from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds
+from arm_emulator.ros.messages.time_stamp import NANOSECONDS, convert_to_nanoseconds
 from oracles.predicted_residual import predict_residual
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -68,7 +68,7 @@ def test_a_servo_of_ones_own_that_restarts_brings_the_tool_to_its_target(
             if (np.abs(target - controller.kinematics.forward(q)[1]) > bound).any():
                 inside.clear()
                 return False
-            inside.append(to_nanoseconds(user.truth.header.stamp))
+            inside.append(convert_to_nanoseconds(user.truth.header.stamp))
             return inside[-1] - inside[0] > NANOSECONDS // 2
 
         words = [sys.executable, str(EXAMPLES / "move_tool.py"), *map(repr, target.tolist())]
@@ -102,7 +102,7 @@ def test_a_motion_controller_of_ones_own_swings_the_waist(tmp_path: Path) -> Non
     def swung() -> bool:
         """Whether a swing was seen, of 2 s, and how the next one begins."""
         if user.truth is not None:
-            t = to_nanoseconds(user.truth.header.stamp) / NANOSECONDS
+            t = convert_to_nanoseconds(user.truth.header.stamp) / NANOSECONDS
             observed[t] = np.array(user.truth.position)
         return len(observed) > 0 and max(observed) - min(observed) > 2.5
 

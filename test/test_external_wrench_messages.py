@@ -60,7 +60,9 @@ def test_a_run_under_wrenches_is_repeated_to_the_last_bit(
         def between() -> None:
             nonlocal printed
             if draw.random() < 0.02:
-                nodes.nodes["emulator"]._status.report()  # by which `check-bag` knows the clock
+                nodes.nodes[
+                    "emulator"
+                ]._status.publish_status()  # by which `check-bag` knows the clock
                 nodes.send(*sound(draw))
                 printed += 1
 

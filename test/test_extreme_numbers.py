@@ -81,7 +81,7 @@ def test_no_time_on_the_clock_ends_a_node_that_follows_it() -> None:
             assert servo._time_source._last_time_set.nanoseconds == 5 * 10**9
         for _ in range(500):
             follow(random_message(rng, "clock", JOINTS, 0))
-            servo._diagnostics.publish()
+            servo._diagnostics.publish_now()
 
 
 def test_the_viewer_gets_no_target_beyond_the_bound(tmp_path: Path) -> None:

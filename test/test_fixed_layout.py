@@ -84,8 +84,8 @@ def test_numbers_are_written_and_read_where_rclpy_has_them(kind: type) -> None:
         for _ in range(3):
             renumber(draw, message)
             fill(printed.message, message)
-            assert deserialize_message(printed.data(), kind) == message, "written"
-            assert heard.take(serialize_message(message)), "the same names and lengths"
+            assert deserialize_message(printed.write_message(), kind) == message, "written"
+            assert heard.load_message(serialize_message(message)), "the same names and lengths"
             assert_same(heard.message, message)
 
 
@@ -98,11 +98,13 @@ def test_changed_names_and_lengths_are_not_taken(kind: type) -> None:
         for second in some:
             data = serialize_message(second)
             same = len(data) == len(heard.bytes) and names_of(second) == names_of(message)
-            if heard.take(data):
+            if heard.load_message(data):
                 assert same
                 assert_same(heard.message, second)
-        assert heard.take(serialize_message(message) + bytes(draw.randrange(8)))
-        assert not heard.take(b"") and not heard.take(serialize_message(message)[: heard.size - 1])
+        assert heard.load_message(serialize_message(message) + bytes(draw.randrange(8)))
+        assert not heard.load_message(b"") and not heard.load_message(
+            serialize_message(message)[: heard.size - 1]
+        )
 
 
 def names_of(message: Any) -> list[str]:

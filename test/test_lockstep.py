@@ -30,7 +30,7 @@ from arm_emulator.base.io.config_files import find_config
 from arm_emulator.cli.commands.run import run_scene as run_command
 from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.motion.model.config import load_motion_config
-from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_stamp
+from arm_emulator.ros.messages.time_stamp import NANOSECONDS, convert_to_stamp
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand
 
@@ -122,7 +122,7 @@ def test_the_order_of_joints_in_messages_means_nothing(tmp_path: Path) -> None:
     target, expected = target_of("three_axis"), offline("three_axis")
     with in_process(servo=turned) as nodes:
         aim = PoseStamped()
-        aim.header.stamp = to_stamp(round(TARGET_AT * NANOSECONDS))
+        aim.header.stamp = convert_to_stamp(round(TARGET_AT * NANOSECONDS))
         p, o = aim.pose.position, aim.pose.orientation
         p.x, p.y, p.z = map(float, target.p_WT)
         o.x, o.y, o.z, o.w = map(float, target.quaternion())
@@ -142,9 +142,9 @@ def test_two_servos_at_once(three_nodes: SharedNetwork) -> None:
     with three_nodes() as (user, nodes):
         begin(user, target_of("three_axis"))
         user.wait("the run", lambda: user.tick >= 60)
-        first = nodes.process("servo")
-        nodes.start("servo")
-        second = nodes.process("servo")
+        first = nodes.get_process("servo")
+        nodes.start_node("servo")
+        second = nodes.get_process("servo")
         user.wait("the second", lambda: user.value("servo", "another servo"))
 
         def commands_of_second() -> int:
@@ -220,7 +220,7 @@ def test_a_killed_servo_is_waited_for_and_the_next_continues(three_nodes: Shared
         user.wait("the wait to be reported", reported)
         assert user.status.phase == EmulatorStatus.PHASE_WAITING and not user.status.answered
         tick = user.status.tick
-        nodes.start("servo")
+        nodes.start_node("servo")
         user.wait("the run to go on", lambda: user.tick >= tick + 150)
         # Up to there nothing was lost: it waited, it did not step.
         assert_same_bits(user.motor_states(), offline("three_axis", tick), tick)
@@ -242,7 +242,7 @@ def test_a_killed_motion_controller_is_waited_for_and_the_next_continues(
         user.wait("the wait to be reported", reported)
         tick = user.status.tick
         assert tick % 50 == 0  # at the start of a motion period
-        nodes.start("motion_controller")
+        nodes.start_node("motion_controller")
         user.wait("the run to go on", lambda: user.tick >= tick + 150)
         assert_same_bits(user.motor_states(), offline("three_axis", tick), tick)
         # The new motion controller has no tool target, and holds the arm until it receives one.
@@ -261,9 +261,13 @@ def test_a_new_emulator_restarts_with_the_old_partners(three_nodes: SharedNetwor
         user.wait("the run", lambda: user.tick >= 120)
         kill(user, nodes, "emulator")
         user.wait("the servo to notice", lambda: user.printed("servo", "no motor state for "))
-        assert nodes.process("servo").poll() is nodes.process("motion_controller").poll() is None
+        assert (
+            nodes.get_process("servo").poll()
+            is nodes.get_process("motion_controller").poll()
+            is None
+        )
         user.forget()
-        nodes.start("emulator")
+        nodes.start_node("emulator")
         begin(user, target_of("three_axis"))
         user.wait("the new run", lambda: user.tick >= 300)
         assert user.printed("servo", "the emulator began anew")
@@ -296,7 +300,7 @@ def test_a_reset_while_the_servo_waits_for_targets(
 
         def answer(time: float) -> None:
             message = JointState(name=JOINTS, position=[0.0, 0.5, 0.8])
-            message.header.stamp = to_stamp(round(time * NANOSECONDS))
+            message.header.stamp = convert_to_stamp(round(time * NANOSECONDS))
             user.publish(user.targets, message)
 
         waiting = "waiting for the joint targets that answer t = "

@@ -200,12 +200,12 @@ class Duplicate(ManagedNode):
         self.health = Diagnostics(self, "nothing")
         self.duplicates = DuplicateNodes(self, self.health, "emulator", "motor_states", "refused")
 
-    def configure(self) -> None:
+    def create_entities(self) -> None:
         self.create_publisher(EmulatorStatus, "emulator/status", 1)
         create_wall_timer(self, 0.01, self._fire)
 
-    def activate(self) -> None:
-        self.duplicates.begin()
+    def begin_work(self) -> None:
+        self.duplicates.announce_node()
         self.duplicates.wait_until_first("emulator/status", alone=True)
 
     def _fire(self) -> None:

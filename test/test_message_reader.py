@@ -110,7 +110,7 @@ def read(reader: MessageReader, data: bytes) -> Refusal | None:
     calls = get_middleware()
     if calls.message_open(reader.struct, data, len(data)):
         calls.message_rows(reader.struct)
-    return reader.refusal(data)
+    return reader.make_refusal(data)
 
 
 def reader_of_nothing(kind: type) -> Callable[[bytes], bool]:
@@ -215,10 +215,10 @@ def test_rows_are_read_in_the_receivers_order(order: str) -> None:
         assert read(joints.reader, encoded(message, byte_order)) is None
         assert by_name(message, "encoder_counts") == joints.counts.tolist()
         assert by_name(message, "current") == joints.current.tolist()
-        if count := joints.reader.field("applied").came:
+        if count := joints.reader.find_field("applied").came:
             assert by_name(message, "applied") == joints.applied.tolist()
         assert count == len(message.applied)
-        if joints.reader.field("brake_closed").came:
+        if joints.reader.find_field("brake_closed").came:
             assert by_name(message, "brake_closed") == joints.brakes.tolist()
         stamp = message.header.stamp
         assert joints.time[0] == stamp.sec * 10**9 + stamp.nanosec

@@ -15,7 +15,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from arm_emulator.motion.executor.goal_status import Kind
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
-from arm_emulator.ros.messages.time_stamp import to_stamp
+from arm_emulator.ros.messages.time_stamp import convert_to_stamp
 from arm_emulator.runs.offline import OfflineRun, load_offline_run
 from arm_emulator_msgs.msg import MotionStatus
 from motion_controller_node.follow_action import is_installed
@@ -37,7 +37,7 @@ def statuses(nodes: InProcess) -> list[MotionStatus]:
 
 def trajectory(at_ns: int, names: list[str], *points: tuple[float, list[float]]) -> JointTrajectory:
     message = JointTrajectory(joint_names=names)
-    message.header.stamp = to_stamp(at_ns)
+    message.header.stamp = convert_to_stamp(at_ns)
     message.points = [
         JointTrajectoryPoint(
             positions=q, time_from_start=Duration(sec=int(t), nanosec=round(t % 1 * 1e9))
@@ -49,7 +49,7 @@ def trajectory(at_ns: int, names: list[str], *points: tuple[float, list[float]])
 
 def path(at_ns: int, poses: list[Pose]) -> Path:
     message = Path()
-    message.header.stamp = to_stamp(at_ns)
+    message.header.stamp = convert_to_stamp(at_ns)
     for pose in poses:
         stamped = PoseStamped()
         p, o = stamped.pose.position, stamped.pose.orientation
@@ -133,7 +133,7 @@ def test_refused_orders_are_reported_with_their_reason(nodes: InProcess, topic: 
 def test_a_reset_reports_the_commands_that_it_forgets(nodes: InProcess) -> None:
     heard = statuses(nodes)
     pose = path(0, [Pose(np.array([0.3, 0.0, 0.5]), np.eye(3))]).poses[0]
-    pose.header.stamp = to_stamp(1000 * SECOND)
+    pose.header.stamp = convert_to_stamp(1000 * SECOND)
     nodes.send("tool_target", pose)
     nodes.call("motion_controller/reset")
     expected = [MotionStatus.STATE_ACCEPTED, MotionStatus.STATE_ABORTED]

@@ -29,7 +29,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from arm_emulator.motion.model.pose import Pose
-from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds
+from arm_emulator.ros.messages.time_stamp import NANOSECONDS, convert_to_nanoseconds
 from arm_emulator.runs.offline import OfflineRun, load_offline_run
 from arm_emulator_msgs.msg import EmulatorStatus
 from emulator_node.page_controls import RosControls
@@ -430,7 +430,7 @@ def test_real_time_is_real_time(real_time: SharedNetwork) -> None:
                 assert getattr(before, counter) <= getattr(after, counter)
         for _, status in heard:
             assert status.logical_time == pytest.approx(status.tick * period)
-            assert to_nanoseconds(status.header.stamp) == status.tick * 1_000_000
+            assert convert_to_nanoseconds(status.header.stamp) == status.tick * 1_000_000
             assert status.powered and math.isfinite(status.energy)
             assert status.waiting_time == 0.0
         assert any(status.step_time > 0.0 for _, status in heard)

@@ -106,13 +106,13 @@ def test_a_target_is_heard_when_the_node_that_acts_on_it_listens() -> None:
                 NetworkClient(name, "", context) for name in ("sender", "viewer", "acting")
             )
             publisher = sender.create_publisher(PoseStamped, "tool_target", COMMAND_QOS)
-            viewer.listen("tool_target", PoseStamped, COMMAND_QOS)
+            viewer.listen_to("tool_target", PoseStamped, COMMAND_QOS)
             acting.create_publisher(MotionStatus, "motion/status", EVENT_QOS)
             status = "motion/status"
             assert sender.spin_until(lambda: publisher.get_subscription_count() > 0, LONGEST)
             assert sender.spin_until(lambda: sender.count_publishers(status) > 0, LONGEST)
             assert not sender.is_heard(publisher, status), "by another one"
-            acting.listen("tool_target", PoseStamped, COMMAND_QOS)
+            acting.listen_to("tool_target", PoseStamped, COMMAND_QOS)
             assert sender.spin_until(lambda: sender.is_heard(publisher, status), LONGEST)
             publisher.publish(PoseStamped())
             assert acting.spin_until(lambda: "tool_target" in acting.newest, LONGEST)

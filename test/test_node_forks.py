@@ -43,7 +43,7 @@ def test_each_end_is_reported_and_the_next_network_is_of_new_processes(tmp_path:
     words = ("three_axis",)
     with own_domain():
         with Bringup(*words, log=tmp_path, forked=True) as first:
-            killed = first.process("servo")
+            killed = first.get_process("servo")
             assert killed.poll() is None
             with pytest.raises(subprocess.TimeoutExpired):
                 killed.wait(0.0)
@@ -51,13 +51,13 @@ def test_each_end_is_reported_and_the_next_network_is_of_new_processes(tmp_path:
             assert killed.wait(PATIENCE) == -signal.SIGKILL
             assert first.find_ended() == ("servo", -signal.SIGKILL)
             killed.send_signal(signal.SIGINT)  # it has ended: nobody gets it
-            codes = first.stop()
+            codes = first.stop_nodes()
             assert codes == {"emulator": 0, "servo": -signal.SIGKILL, "motion_controller": 0}
         refused = {"real_time_factor": -1.0}
         with Bringup(
             *words, emulator=refused, log=tmp_path, forked=True, only=("emulator",)
         ) as two:
-            second = two.process("emulator")
+            second = two.get_process("emulator")
             assert second.wait(PATIENCE) == 2
         assert "real_time_factor" in (tmp_path / "emulator.log").read_text()
         assert second.pid != killed.pid and os.getpid() not in (second.pid, killed.pid)

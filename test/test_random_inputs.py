@@ -26,7 +26,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from arm_emulator.machine.scene.scene import load_scene
-from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds
+from arm_emulator.ros.messages.time_stamp import NANOSECONDS, convert_to_nanoseconds
 from arm_emulator.ros.node.node_shell import EVENT_QOS
 from arm_emulator.ros.process.bringup import Bringup
 from arm_emulator.ros.process.ros_domain import own_domain
@@ -88,7 +88,7 @@ class Strangers:
 
     def _call_now(self, service: str, kind: str) -> Any:
         client = self.node.create_client(class_of(f"rcl_interfaces/srv/{kind}"), service)
-        answer = self._user.node.ask(
+        answer = self._user.node.call_service(
             client, class_of(f"rcl_interfaces/srv/{kind}").Request(), PATIENCE
         )
         assert answer is not None, service
@@ -261,8 +261,8 @@ def test_strangers_orders_and_stamps_keep_a_moving_arm_within_its_limits(tmp_pat
             assert "would touch" in end.reason, end
         assert end.state == MotionStatus.STATE_REACHED, end
         # The truth received so far may be older than the report: its own stamp counts.
-        later = to_nanoseconds(end.header.stamp) + NANOSECONDS // 2
-        user.wait("a newer state", lambda: to_nanoseconds(user.truth.header.stamp) > later)
+        later = convert_to_nanoseconds(end.header.stamp) + NANOSECONDS // 2
+        user.wait("a newer state", lambda: convert_to_nanoseconds(user.truth.header.stamp) > later)
         at = dict(zip(user.truth.name, user.truth.position, strict=True))
         off = np.subtract([at[name] for name in names], goal.points[0].positions)
         assert np.abs(off).max() < 0.02, f"{off} rad, more than gears wind up: {reports[heard:]}"

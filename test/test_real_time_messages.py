@@ -49,7 +49,7 @@ def test_only_commands_that_are_due_are_in_force(seed: int) -> None:
     draw, taken_in_c = random.Random(seed), 0
     with in_process("realtime") as nodes:
         done = nodes.take_in_c("emulator")
-        session, look = session_of(nodes), nodes.nodes["emulator"]._pacer.look
+        session, look = session_of(nodes), nodes.nodes["emulator"]._pacer.check_time
         go_on(nodes, 20, look)
         for _ in range(200):
             while session.tick <= session.command_buffer.tick + 2:

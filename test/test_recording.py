@@ -26,7 +26,7 @@ from arm_emulator.ros.process.ros_domain import own_domain
 from arm_emulator.ros.recording import run_record
 from arm_emulator.ros.recording.bag import Bag
 from arm_emulator.ros.recording.bag_metadata import Topic
-from arm_emulator.ros.recording.bag_writer import BagWriter, repair
+from arm_emulator.ros.recording.bag_writer import BagWriter, repair_bag
 from arm_emulator.ros.recording.recorder import Numbered
 from arm_emulator.ros.recording.recorder_presence import RecorderPresence, list_recorders
 from arm_emulator.ros.recording.run_record import RunRecord
@@ -94,7 +94,7 @@ def await_words(process: subprocess.Popen[str], words: str) -> str:
 def ticks_in(bag: Path) -> list[int]:
     return [
         int(deserialize_message(m.data, MotorState).tick)
-        for m in Bag(bag).messages(["/motor_states"])
+        for m in Bag(bag).read_messages(["/motor_states"])
     ]
 
 
@@ -170,7 +170,7 @@ def network_of(listener: User, log: Path, **options: Any) -> Iterator[None]:
     clock, start = options.pop("clock", "lockstep"), options.pop("start")
     with Bringup("three_axis", clock=clock, start=start, emulator=options, log=log) as nodes:
         yield
-        codes = nodes.stop()
+        codes = nodes.stop_nodes()
         assert set(codes.values()) == {0}, f"exit codes {codes}"
 
 
@@ -187,7 +187,7 @@ def test_a_killed_recorder_has_every_tick_before_it(
     lockstep_bags: tuple[Path, Path, Path, str],
 ) -> None:
     _, bag, _, _ = lockstep_bags
-    assert repair(bag)
+    assert repair_bag(bag)
     assert_every_tick(bag, count=1)
 
 
@@ -296,14 +296,14 @@ def test_losses_are_counted_by_number_of_each_publisher(seed: int) -> None:
     first = draw.randrange(1, 1000)
     numbers = sorted(draw.sample(range(first, first + 500), 300))
     for number in numbers:
-        single.take(b"a", number)
+        single.count_message(b"a", number)
     assert single.lost == numbers[-1] - numbers[0] + 1 - len(numbers)
     assert single.newest == numbers[-1]
 
     lost = single.lost
-    single.forget()
+    single.restart_count()
     for number in (single.newest + 1, single.newest + 8):
-        single.take(b"a", number)
+        single.count_message(b"a", number)
     assert single.lost == 6, f"beside {lost} that are forgotten"
     for more in (0, 2):  # the middleware reports what was forgotten late, and more at once
         single.take_lost_event(SimpleNamespace(total_count=lost + 6 + more))
@@ -317,11 +317,11 @@ def test_losses_are_counted_by_number_of_each_publisher(seed: int) -> None:
             gap = draw.randrange(1, 5)
             lost += gap
             next_numbers[which] += gap
-        several.take(bytes([which]), next_numbers[which])
+        several.count_message(bytes([which]), next_numbers[which])
         next_numbers[which] += 1
-        several.take(b"another middleware", -1)
+        several.count_message(b"another middleware", -1)
     for which, number in enumerate(next_numbers):  # a gap at the very end is nobody's to see
-        several.take(bytes([which]), number)
+        several.count_message(bytes([which]), number)
     assert several.lost == lost
 
 
@@ -333,7 +333,7 @@ def test_no_recorder_is_ever_further_behind_than_it_may_be(seed: int) -> None:
     here, written, now = set(names), dict.fromkeys(names, 0), 0.0
     news: list[str] = []
     recorders = RecorderGate(lambda: set(here), True, news.append, lambda: now)
-    recorders.begin()
+    recorders.begin_run()
     recorders.published, tick = 1, 0
     ended, silent_name = names[0], names[1]
     ended_at, asleep_at = draw.randrange(50, 2000), draw.randrange(50, 2000)
@@ -389,16 +389,16 @@ def test_a_slow_disk_makes_lockstep_wait_and_real_time_count(
     waits: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run_record, "CAPACITY", 50)
-    monkeypatch.setattr(BagWriter, "write", _slow_write(BagWriter.write))
+    monkeypatch.setattr(BagWriter, "write", _slow_write(BagWriter.write_message))
     record = RunRecord(tmp_path / "bag", [Topic("/talk", "std_msgs/msg/String")], waits)
     for k in range(1000):
-        record.put("/talk", k.to_bytes(4, "little"))
+        record.add_message("/talk", k.to_bytes(4, "little"))
     if waits:
         record.close()
     else:
         with pytest.raises(Refusal, match=r"\d+ messages were dropped, the disk is too slow"):
             record.close()
-    numbers = [int.from_bytes(m.data, "little") for m in Bag(tmp_path / "bag").messages()]
+    numbers = [int.from_bytes(m.data, "little") for m in Bag(tmp_path / "bag").read_messages()]
     assert Bag(tmp_path / "bag").complete
     assert len(numbers) + record.dropped == 1000, "what is neither kept nor counted"
     assert (record.dropped == 0) == waits
@@ -417,7 +417,7 @@ def test_a_full_disk_stops_no_machine_and_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run_record, "CAPACITY", 50)
-    write, left = BagWriter.write, 300
+    write, left = BagWriter.write_message, 300
 
     def full(self: BagWriter, *arguments: Any) -> None:
         nonlocal left
@@ -429,7 +429,7 @@ def test_a_full_disk_stops_no_machine_and_is_reported(
     monkeypatch.setattr(BagWriter, "write", full)
     record = RunRecord(tmp_path / "bag", [Topic("/talk", "std_msgs/msg/String")], waits=True)
     for k in range(1000):
-        record.put("/talk", k.to_bytes(4, "little"))
+        record.add_message("/talk", k.to_bytes(4, "little"))
     with pytest.raises(Refusal, match="the disk takes no more: No space left on device"):
         record.close()
     assert Bag(tmp_path / "bag").complete

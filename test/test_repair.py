@@ -29,7 +29,7 @@ from arm_emulator.cli.command_line import main
 from arm_emulator.ros.messages.message_types import read_definition
 from arm_emulator.ros.recording.bag import Bag
 from arm_emulator.ros.recording.bag_metadata import FORKED_AT, PARENT, Topic
-from arm_emulator.ros.recording.bag_writer import BagWriter, repair
+from arm_emulator.ros.recording.bag_writer import BagWriter, repair_bag
 
 CUTS = 60 if FULL else 20
 FACTS = {PARENT: "other", FORKED_AT: "7"}
@@ -48,7 +48,7 @@ def talk(folder: Path, words: int, seed: int = 0) -> None:
                 numbers.append(writer.add_topic(topic))
             word = "".join(draw.choices("abcdefgh", k=draw.randrange(300)))
             data = serialize_message(String(data=f"{k} {word}"))
-            writer.write(draw.choice(numbers), 10**18 + k, 10**18 + k, data)
+            writer.write_message(draw.choice(numbers), 10**18 + k, 10**18 + k, data)
             if draw.random() < 0.05:
                 writer.flush()
 
@@ -71,7 +71,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 def words_of(bag: Path) -> list[str]:
-    return [deserialize_message(m.data, String).data for m in Bag(bag).messages()]
+    return [deserialize_message(m.data, String).data for m in Bag(bag).read_messages()]
 
 
 def list_complete_chunks(file: Path) -> list[tuple[int, int]]:
@@ -130,11 +130,11 @@ def test_every_complete_chunk_of_a_bag_that_was_cut_anywhere_remains(tmp_path: P
         (bag / "cut_0.mcap").write_bytes(data[:length])
         (bag / "metadata.yaml.tmp").write_bytes(bytes(100))
         count = sum(messages for end, messages in chunks if end <= length)
-        assert repair(bag), f"cut at {length}: taken for whole"
+        assert repair_bag(bag), f"cut at {length}: taken for whole"
         assert words_of(bag) == words[:count], f"cut at {length} of {len(data)}"
         assert not count or Bag(bag).about.items() >= FACTS.items(), "facts precede all chunks"
         assert_complete(bag, words[:count])
-        assert not repair(bag), f"cut at {length}: mended, and not whole"
+        assert not repair_bag(bag), f"cut at {length}: mended, and not whole"
 
 
 def test_zeros_that_a_lost_power_leaves_are_cut_off(tmp_path: Path) -> None:
@@ -144,7 +144,7 @@ def test_zeros_that_a_lost_power_leaves_are_cut_off(tmp_path: Path) -> None:
     end, _ = chunks[-2]
     os.truncate(file, end)
     os.truncate(file, end + 5000)
-    assert repair(tmp_path / "bag")
+    assert repair_bag(tmp_path / "bag")
     assert_complete(tmp_path / "bag", words[: sum(messages for _, messages in chunks[:-1])])
 
 
@@ -168,7 +168,7 @@ def test_a_folder_without_a_bag_stays_as_it_is(tmp_path: Path) -> None:
     for data in (b"this is not a bag\n", bytes(damaged)):
         file.write_bytes(data)
         with pytest.raises(Refusal, match="be undamaged MCAP"):
-            repair(tmp_path / "bag")
+            repair_bag(tmp_path / "bag")
         assert file.read_bytes() == data, "a file that is refused was changed"
 
 
@@ -184,7 +184,7 @@ def record_until_full(
             for k in range(100_000):
                 words.append(f"{k} {draw.randbytes(draw.randrange(1500)).hex()}")
                 try:
-                    bag.write(number, k, k, serialize_message(String(data=words[-1])))
+                    bag.write_message(number, k, k, serialize_message(String(data=words[-1])))
                     if draw.random() < 0.1:
                         bag.flush()
                 except OSError:
@@ -248,7 +248,7 @@ def test_no_row_is_written_after_the_first_failure(
                     talk(bag, 100, case)
         if not (bag / "metadata.yaml").exists():
             assert not heals and number is not None, "the disk takes metadata again"
-            assert repair(bag), "a bag without metadata"
+            assert repair_bag(bag), "a bag without metadata"
         readable = words_of(bag)
         assert readable == printed[: len(readable)], "what is kept"
         assert len(readable) == 100 or number is not None, "what is lost"
@@ -307,11 +307,11 @@ def test_a_recorder_killed_at_any_moment_leaves_a_bag_that_repair_completes(
     for bag in bags:
         turn = int(bag.name[3:])
         if turn < len(bags) - 1:
-            assert not repair(bag), "one that was closed is whole"
+            assert not repair_bag(bag), "one that was closed is whole"
             continue
         if not any(bag.glob("*.mcap")):
             continue  # killed before it was made
-        repair(bag)
+        repair_bag(bag)
         talk(tmp_path / "whole", 300, turn)
         readable, all_words = words_of(bag), words_of(tmp_path / "whole")
         assert readable == all_words[: len(readable)], "what is kept"
@@ -324,5 +324,5 @@ def test_metadata_that_count_wrongly_are_written_again(tmp_path: Path) -> None:
     words, sound = words_of(tmp_path / "bag"), file.read_text()
     for text in (sound.replace("message_count: 50", "message_count: 51"), "", "[", sound[:200]):
         file.write_text(text)
-        assert repair(tmp_path / "bag"), f"taken for whole: {text[:80]!r}"
+        assert repair_bag(tmp_path / "bag"), f"taken for whole: {text[:80]!r}"
         assert_complete(tmp_path / "bag", words)

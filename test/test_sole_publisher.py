@@ -19,7 +19,11 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds, to_stamp
+from arm_emulator.ros.messages.time_stamp import (
+    NANOSECONDS,
+    convert_to_nanoseconds,
+    convert_to_stamp,
+)
 from arm_emulator.ros.node.node_shell import EVENT_QOS
 from arm_emulator.ros.node.sole_publisher import IDENTIFY, KINDS, SolePublisher
 from arm_emulator.ros.process.bringup import Bringup
@@ -81,7 +85,7 @@ def mover(
 
 def strangers(rng: random.Random, user: User) -> dict[str, Any]:
     """Return a sound message of each topic, of any time."""
-    at = to_nanoseconds(user.truth.header.stamp)
+    at = convert_to_nanoseconds(user.truth.header.stamp)
     time_ns = rng.choice((0, at // 2, at, at + 50_000_000, at + NANOSECONDS))
     tick = time_ns // 1_000_000
     q = [rng.uniform(-1.0, 1.0) for _ in JOINTS]
@@ -94,12 +98,12 @@ def strangers(rng: random.Random, user: User) -> dict[str, Any]:
         ),
         "motor_commands": MotorCommand(tick=tick, joint_names=JOINTS, command=[24.0] * 3),
         "emulator/events": MachineEvent(kind=MachineEvent.KIND_RESET),
-        "clock": Clock(clock=to_stamp(time_ns)),
+        "clock": Clock(clock=convert_to_stamp(time_ns)),
         "robot_description": String(data=user.description.replace("shoulder", "other")),
     }
     for value in messages.values():
         if hasattr(value, "header"):
-            value.header.stamp = to_stamp(rng.choice((0, time_ns)))
+            value.header.stamp = convert_to_stamp(rng.choice((0, time_ns)))
     return messages
 
 
@@ -222,21 +226,21 @@ def test_a_refusal_waits_for_the_names_of_its_nodes(monkeypatch: pytest.MonkeyPa
     assert sole.is_admitted(servo), "it is the first one"
     graph.names["/joint_states"][stranger] = unknown
     assert not sole.is_admitted(stranger)
-    sole.report()
+    sole.report_dropped()
     assert graph.refusals == [], "it names nobody yet"
     for topic in KINDS["servo"]:
         graph.names[f"/{topic}"] = {servo: "servo"}
     graph.names["/joint_states"][stranger] = "stranger"
-    sole.report()
+    sole.report_dropped()
     assert len(graph.refusals) == 1
     assert "must be node /servo, whose messages are taken, got node /stranger" in graph.refusals[0]
     # A publisher that stays unknown is reported nevertheless, after some time.
     graph.names["/joint_states"][stranger] = unknown
     unnamed = b"o" * size
     assert not sole.is_admitted(unnamed)
-    sole.report()
+    sole.report_dropped()
     assert len(graph.refusals) == 1
     now = time.monotonic()
     monkeypatch.setattr(time, "monotonic", lambda: now + IDENTIFY)
-    sole.report()
+    sole.report_dropped()
     assert len(graph.refusals) == 2 and "does not have yet" in graph.refusals[1]

@@ -28,7 +28,7 @@ from arm_emulator.motion.trajectory.joint_curve import JointCurve
 from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
 from arm_emulator.motion.trajectory.time_scaling import Resumed
 from arm_emulator.motion.trajectory.timed_path import JointPathLimits, TimedPath
-from arm_emulator.ros.messages.time_stamp import to_nanoseconds, to_stamp
+from arm_emulator.ros.messages.time_stamp import convert_to_nanoseconds, convert_to_stamp
 from arm_emulator.ros.node.lean_executor import LeanExecutor
 from arm_emulator.ros.node.node_shell import DESCRIPTION_QOS
 from arm_emulator.ros.process.ros_domain import own_domain
@@ -248,7 +248,7 @@ def test_a_servo_that_reports_its_state_is_waited_for_and_a_silent_servo_is_not(
             answered_stamps: list[int] = []
 
             def on_targets(message: Any) -> None:
-                answered_stamps.append(to_nanoseconds(message.header.stamp))
+                answered_stamps.append(convert_to_nanoseconds(message.header.stamp))
 
             servo.create_subscription(JointState, "joint_targets", on_targets, 10)
             states = servo.create_publisher(JointState, "joint_states", 10)
@@ -258,7 +258,7 @@ def test_a_servo_that_reports_its_state_is_waited_for_and_a_silent_servo_is_not(
 
             def answered(period: int, seconds: float) -> bool:
                 message = JointState(name=scene.joint_names, position=scene.start)
-                message.header.stamp = to_stamp(period * PERIOD_NS)
+                message.header.stamp = convert_to_stamp(period * PERIOD_NS)
                 end = time.monotonic() + seconds
                 while time.monotonic() < end and period * PERIOD_NS not in answered_stamps:
                     states.publish(message)
@@ -272,7 +272,7 @@ def test_a_servo_that_reports_its_state_is_waited_for_and_a_silent_servo_is_not(
                 executor.spin_once(0.02)
             assert not answered(2, 0.5)
             report = ServoState(joint_names=scene.joint_names, movable=[1] * 3)
-            report.header.stamp = to_stamp(2 * PERIOD_NS)
+            report.header.stamp = convert_to_stamp(2 * PERIOD_NS)
             reports.publish(report)
             assert answered(2, PATIENCE)
             servo.destroy_publisher(reports)

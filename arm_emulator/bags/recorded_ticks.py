@@ -10,7 +10,7 @@ from sensor_msgs.msg import JointState
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant.outputs import KNOWN
-from arm_emulator.ros.messages.time_stamp import to_nanoseconds
+from arm_emulator.ros.messages.time_stamp import convert_to_nanoseconds
 from arm_emulator_msgs.msg import MachineEvent, MotorState
 
 Values = NDArray[Any]
@@ -89,10 +89,10 @@ def read_ticks(
             run += tick == 0
             if run:  # else it began before the record
                 values = arrange_state(message, places, only)
-                stamp = to_nanoseconds(message.header.stamp)
+                stamp = convert_to_nanoseconds(message.header.stamp)
                 now = RecordedTick(run, tick, stamp, published, waiting, values, [])
             waiting = []
-        elif now is not None and to_nanoseconds(message.header.stamp) == now.stamp:
+        elif now is not None and convert_to_nanoseconds(message.header.stamp) == now.stamp:
             for field, row in arrange_truth(message, places).items():
                 now.values.setdefault(f"true {field}", row)
     if now is not None:

@@ -91,7 +91,7 @@ class RecordedTopics:
         layouts: dict[str, FixedLayout] = {}
         for name, data, published in self._read_data(requested):
             layout = layouts.get(name)
-            if layout is not None and layout.take(data):
+            if layout is not None and layout.load_message(data):
                 yield name, layout.message, published
                 continue
             message = self._deserialise_message(name, data)

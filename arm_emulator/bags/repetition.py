@@ -33,7 +33,7 @@ from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.plant.plant_state import SET
 from arm_emulator.machine.session.command_buffer import CommandBuffer
 from arm_emulator.machine.session.session import Session
-from arm_emulator.ros.messages.time_stamp import to_nanoseconds
+from arm_emulator.ros.messages.time_stamp import convert_to_nanoseconds
 from arm_emulator.ros.recording.bag import Bag
 from arm_emulator_msgs.msg import MachineEvent, MotorCommand, MotorState
 
@@ -167,10 +167,13 @@ class BagRepetition:
             rule = f"report change {before + 1} by hand"
             raise Refusal(self._where, "emulator/events", rule, f"{number}", "a bag without gaps")
         self._skip_lost_state(int(event.tick))
-        if event.tick != session.tick or to_nanoseconds(event.header.stamp) != session.logical_ns:
+        if (
+            event.tick != session.tick
+            or convert_to_nanoseconds(event.header.stamp) != session.logical_ns
+        ):
             raise Difference(
                 f"run {self.tally.runs}, tick {session.tick}, change {number} by hand: "
-                f"recorded at tick {event.tick}, stamp {to_nanoseconds(event.header.stamp)} ns"
+                f"recorded at tick {event.tick}, stamp {convert_to_nanoseconds(event.header.stamp)} ns"
             )
         self._repeat_change(event)
 
@@ -246,7 +249,7 @@ class BagRepetition:
         if tick == session.tick + 1:
             self._advance_session(self._check_applied(state, values))
         self.tally.states += 1
-        stamp = to_nanoseconds(state.header.stamp)
+        stamp = convert_to_nanoseconds(state.header.stamp)
         if stamp != session.logical_ns:
             raise Difference(
                 f"run {self.tally.runs}, tick {session.tick}, stamp: "
@@ -337,7 +340,7 @@ class BagRepetition:
 
     def _take_truth(self, truth: JointState) -> None:
         session, now = self._session, self._session.state
-        if not self._is_in_run or to_nanoseconds(truth.header.stamp) != session.logical_ns:
+        if not self._is_in_run or convert_to_nanoseconds(truth.header.stamp) != session.logical_ns:
             self.tally.stray_truths += self._is_in_run
             return
         values = arrange_truth(truth, self._places)

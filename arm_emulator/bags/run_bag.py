@@ -19,7 +19,7 @@ from arm_emulator.machine.session.change import Change, NumberChange, PowerChang
 from arm_emulator.machine.session.session import Session
 from arm_emulator.ros.messages.message_types import get_message_class, read_definition
 from arm_emulator.ros.messages.node_topics import TYPES
-from arm_emulator.ros.messages.time_stamp import to_stamp
+from arm_emulator.ros.messages.time_stamp import convert_to_stamp
 from arm_emulator.ros.recording.bag_metadata import Topic
 from arm_emulator.ros.recording.bag_writer import BagWriter
 from arm_emulator_msgs.msg import MachineEvent, MotorState
@@ -133,9 +133,9 @@ class RunBag:
         self._clock += 1000  # answers come after their questions
         session = self._session
         message = get_message_class(TYPES[topic])(
-            header=Header(stamp=to_stamp(session.logical_ns)), **values
+            header=Header(stamp=convert_to_stamp(session.logical_ns)), **values
         )
         if topic == "motor_states":
             self._fields.size_message(message, session.measured)
         data = serialize_message(message)
-        self._writer.write(self._numbers[topic], self._clock, self._clock, data)
+        self._writer.write_message(self._numbers[topic], self._clock, self._clock, data)

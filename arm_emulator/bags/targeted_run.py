@@ -13,7 +13,7 @@ from arm_emulator.base.validation.bound import EFFORT, POSITION, VELOCITY
 from arm_emulator.base.validation.count import check_count
 from arm_emulator.base.validation.joint_order import JointOrder
 from arm_emulator.machine.scene.scene import Scene, load_scene
-from arm_emulator.ros.messages.time_stamp import to_nanoseconds
+from arm_emulator.ros.messages.time_stamp import convert_to_nanoseconds
 from arm_emulator.runs.gains import Gains, load_gains
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.order import Order
@@ -160,7 +160,7 @@ def _read_targets(
                 targets = {}
             tick = int(message.tick)
             continue
-        at = to_nanoseconds(message.header.stamp) // period
+        at = convert_to_nanoseconds(message.header.stamp) // period
         if at <= tick and at not in targets:  # else it is of the run before, or published again
             names, v, tau = message.name, message.velocity, message.effort
             targets[at] = Target(

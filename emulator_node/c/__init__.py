@@ -15,17 +15,17 @@ ANSWERED_TICKS = Header(FOLDER / "answered_ticks.h", FOLDERS)
 REAL_TIME_TICKS = Header(FOLDER / "real_time_ticks.h", FOLDERS)
 
 
-def answered_ticks_unit() -> Unit:
+def make_answered_ticks_unit() -> Unit:
     """Return answered_ticks.h as what is compiled."""
-    return _unit("answered_ticks", ANSWERED_TICKS, "lock-step")
+    return _make_unit("answered_ticks", ANSWERED_TICKS, "lock-step")
 
 
-def real_time_ticks_unit() -> Unit:
+def make_real_time_ticks_unit() -> Unit:
     """Return real_time_ticks.h as what is compiled."""
-    return _unit("real_time_ticks", REAL_TIME_TICKS, "messages in real time")
+    return _make_unit("real_time_ticks", REAL_TIME_TICKS, "messages in real time")
 
 
-def _unit(name: str, header: Header, about: str) -> Unit:
+def _make_unit(name: str, header: Header, about: str) -> Unit:
     parts = ("messages", "message_reader", "motor_commands", "tick", "answers", name)
     source = "".join(f'#include "{part}.c"\n' for part in parts)
     return Unit(name, source, C_FLAGS, FOLDERS, (header,), "emulator", about, f"{name}.c")

@@ -186,7 +186,7 @@ def emulator(folder: Path, clock: str) -> Iterator[User]:
     with user() as emulator_user, Bringup(scene, log=folder, **how) as nodes:
         emulator_user.wait("an active emulator", lambda: emulator_user.status)
         yield emulator_user
-        assert set(nodes.stop().values()) == {0}
+        assert set(nodes.stop_nodes().values()) == {0}
 
 
 @pytest.mark.parametrize(

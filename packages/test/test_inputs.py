@@ -196,7 +196,7 @@ def test_over_ros_and_repeated_from_its_bag(
         inside._wires.listeners["motor_states"].append(heard)
         inside.begin_record()
         assert inside.call("emulator/reset").success
-        go_on(inside, 100, inside.nodes["emulator"]._status.report)
+        go_on(inside, 100, inside.nodes["emulator"]._status.publish_status)
         state = inside.newest("motor_states")
         assert inside.refused("emulator") == 0
         assert list(state.reading_names) == ["current_d", "applied_d"]

@@ -27,8 +27,8 @@ from arm_emulator_campaign.program import judges_unit
 from arm_emulator_campaign.signals import sampler_unit
 from arm_emulator_fieldbus.drives_unit import drives_unit
 from arm_emulator_fleet.unit import build_fleet_unit
-from emulator_node.c import answered_ticks_unit, real_time_ticks_unit
-from servo_node.c import answered_states_unit
+from emulator_node.c import make_answered_ticks_unit, make_real_time_ticks_unit
+from servo_node.c import make_answered_states_unit
 
 ROOT = Path(__file__).resolve().parents[2]
 RUN = """
@@ -88,9 +88,9 @@ def test_our_libraries_call_their_own_functions(tmp_path: Path) -> None:
         build_formula_unit(),
         judges_unit(),
         sampler_unit(),
-        answered_ticks_unit(),
-        real_time_ticks_unit(),
-        answered_states_unit(),
+        make_answered_ticks_unit(),
+        make_real_time_ticks_unit(),
+        make_answered_states_unit(),
     )
     names = sorted(set().union(*map(names_of, units)))
     assert {"arm_advance", "servo_measure", "firmware_controller_step"} < set(names)

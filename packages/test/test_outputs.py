@@ -234,7 +234,7 @@ def test_messages_carry_all_that_parts_report(scene: Scene, plant: Plant) -> Non
     fields.size_message(empty, Plant(scene).measured)
     layout = FixedLayout(empty)
     fields.fill_message(layout.message, measured)
-    message = deserialize_message(layout.data(), MotorState)
+    message = deserialize_message(layout.write_message(), MotorState)
     for name in (*fields.in_all, *own):
         np.testing.assert_array_equal(getattr(message, name), getattr(measured, name).ravel())
     fields.size_message(empty, Plant(scene).measured)

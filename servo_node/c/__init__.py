@@ -12,7 +12,7 @@ FOLDER = Path(__file__).resolve().parent
 ANSWERED_STATES = Header(FOLDER / "answered_states.h", (SERVO_FOLDER, ROS_FOLDER))
 
 
-def answered_states_unit() -> Unit:
+def make_answered_states_unit() -> Unit:
     """Return answered_states.h as what is compiled."""
     source = '#include "servo.c"\n#include "message_reader.c"\n#include "answered_states.c"\n'
     folders, headers = (FOLDER, ROS_FOLDER, SERVO_FOLDER), (ANSWERED_STATES,)

@@ -42,7 +42,7 @@ class Silence:
 
     def __init__(self, user: User, nodes: Bringup) -> None:
         self._user = user
-        self._processes = {n: psutil.Process(nodes.process(n).pid) for n in ALL_THREE}
+        self._processes = {n: psutil.Process(nodes.get_process(n).pid) for n in ALL_THREE}
         self._heard = {node: (time.monotonic(), self._used(node)) for node in ALL_THREE}
         self._last: dict[str, Any] = {}
         self.longest = 0.0
@@ -187,7 +187,7 @@ def fuzz(seed: int, clock: str, count: int, folder: Path) -> dict[str, int]:
 def _restart_all(user: User, nodes: Bringup, clock: str) -> None:
     """Reset the network, with a motion controller that has heard of no target and no other arm."""
     kill(user, nodes, "motion_controller")
-    nodes.start("motion_controller")
+    nodes.start_node("motion_controller")
     user.forget()  # what is still to be read ends with tick 0
     assert user.call("emulator/reset").success, "the emulator did not begin anew"
     go(user)

@@ -29,7 +29,7 @@ from std_srvs.srv import SetBool
 from arm_emulator.base.cpu_load import load_processors
 from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.machine.scene.scene import load_scene
-from arm_emulator.ros.messages.time_stamp import to_nanoseconds
+from arm_emulator.ros.messages.time_stamp import convert_to_nanoseconds
 from arm_emulator.ros.node.network_client import NetworkClient
 from arm_emulator.ros.node.node_shell import DESCRIPTION_QOS
 from arm_emulator.ros.process.ros_domain import own_domain
@@ -409,7 +409,7 @@ class Managed:
         times: list[int] = []
 
         def hear(message: Clock) -> None:
-            times.append(to_nanoseconds(message.clock))
+            times.append(convert_to_nanoseconds(message.clock))
 
         clock = self.node.create_subscription(Clock, "/clock", hear, 10)
         self.wait("time", lambda: bool(times) and times[-1] >= times[0] + 1e9 * seconds)
@@ -522,7 +522,7 @@ def goal_run(prefix: Path, folder: Path) -> dict[int, str]:
 
     def keep(state: Any) -> None:
         bits = np.concatenate([state.feedback.positions, state.output.positions]).tobytes()
-        states[to_nanoseconds(state.header.stamp)] = hashlib.sha256(bits).hexdigest()
+        states[convert_to_nanoseconds(state.header.stamp)] = hashlib.sha256(bits).hexdigest()
 
     files = folder / "three_axis.urdf", folder / "three_axis_controllers.yaml"
     with managed(prefix, *files) as manager:

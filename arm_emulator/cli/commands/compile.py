@@ -15,13 +15,13 @@ from arm_emulator.machine.plant.formula_rows import build_formula_unit
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.machine.session.record_ring import build_record_ring_unit
 from arm_emulator.motion.model.arm_tree import make_path_unit
-from arm_emulator.ros.c import middleware_unit
+from arm_emulator.ros.c import make_middleware_unit
 from arm_emulator.runs.servo_step import make_servo_step_unit
 from arm_emulator.servo.servo_law import make_servo_unit
 from arm_emulator.tick.c import tick_unit
 from arm_emulator.toolchain.unit import compile_units
-from emulator_node.c import answered_ticks_unit, real_time_ticks_unit
-from servo_node.c import answered_states_unit
+from emulator_node.c import make_answered_ticks_unit, make_real_time_ticks_unit
+from servo_node.c import make_answered_states_unit
 
 
 @command(keys="`libraries`")
@@ -67,10 +67,10 @@ def compile_scene(
     ]
     code += [
         build_formula_unit(),
-        middleware_unit(),
-        answered_ticks_unit(),
-        real_time_ticks_unit(),
-        answered_states_unit(),
+        make_middleware_unit(),
+        make_answered_ticks_unit(),
+        make_real_time_ticks_unit(),
+        make_answered_states_unit(),
     ]
     if servo:
         code.append(make_servo_data_unit(scene))

@@ -34,7 +34,11 @@ from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.motion.model.kinematics import POSITION_ROWS, Kinematics
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.motion.planner.tool_controller import make_controller
-from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds, to_stamp
+from arm_emulator.ros.messages.time_stamp import (
+    NANOSECONDS,
+    convert_to_nanoseconds,
+    convert_to_stamp,
+)
 from arm_emulator.ros.node.node_shell import COMMAND_QOS, STATE_SUB_QOS
 from arm_emulator.ros.process.bringup import Bringup
 from arm_emulator.ros.process.ctrl_c import CtrlC
@@ -109,7 +113,7 @@ def run_demo(
                 log=out / "log",
             ) as network:
                 result = _run_plan(machine, gains, plan, network, console)
-                codes = network.stop()
+                codes = network.stop_nodes()
         finally:
             rclpy.try_shutdown()
     unclean = {name: code for name, code in codes.items() if code != 0}
@@ -273,7 +277,7 @@ class _Observer(Node):
                 self.target_taken = self.target_taken or taken != "0"
 
     def _handle_truth(self, truth: JointState) -> None:
-        now = to_nanoseconds(truth.header.stamp)
+        now = convert_to_nanoseconds(truth.header.stamp)
         expected = self._start_ns + len(self.q) * self._period_ns
         if now == expected:
             self.q.append(np.array(truth.position))
@@ -284,7 +288,7 @@ class _Observer(Node):
 def _make_pose_message(target: Pose, from_ns: int) -> PoseStamped:
     """Return the message of a tool target that holds from a logical time on."""
     message = PoseStamped()
-    message.header.stamp = to_stamp(from_ns)
+    message.header.stamp = convert_to_stamp(from_ns)
     pose = message.pose
     pose.position.x, pose.position.y, pose.position.z = map(float, target.p_WT)
     o = pose.orientation

@@ -250,7 +250,7 @@ def probe_latency(scene: str, period: float, seconds: float) -> ProbeResult:
             Bringup(str(file), clock="realtime", log=log, only=("emulator", "servo")) as network,
             join_network("latency", "") as node,
         ):
-            node.listen("emulator/status", EmulatorStatus, STATE_SUB_QOS)
+            node.listen_to("emulator/status", EmulatorStatus, STATE_SUB_QOS)
 
             def get_newest() -> Any:
                 return node.newest.get("emulator/status")

@@ -23,7 +23,11 @@ from arm_emulator.motion.executor.goal_status import describe_left
 from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.ros.messages.event_words import STATES
-from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds, to_stamp
+from arm_emulator.ros.messages.time_stamp import (
+    NANOSECONDS,
+    convert_to_nanoseconds,
+    convert_to_stamp,
+)
 from arm_emulator.ros.node.network_client import NetworkClient, check_timeout, join_network
 from arm_emulator.ros.node.node_shell import (
     COMMAND_QOS,
@@ -83,9 +87,9 @@ def move_tool(
     check_timeout("move", timeout)
     angles = _parse_angles(joints or ())
     with join_network("move", namespace) as node:
-        node.listen("joint_states", JointState, STATE_SUB_QOS)
-        node.listen("robot_description", String, DESCRIPTION_QOS)
-        node.listen("clock", Clock, STATE_SUB_QOS)
+        node.listen_to("joint_states", JointState, STATE_SUB_QOS)
+        node.listen_to("robot_description", String, DESCRIPTION_QOS)
+        node.listen_to("clock", Clock, STATE_SUB_QOS)
         # A machine that stands repeats its time, but its servo repeats nothing.
         needed = "clock" if to and quaternion else "joint_states"
         if not node.spin_until(lambda: needed in node.newest, PATIENCE):
@@ -126,7 +130,7 @@ def _watch_goal(
         )
     # The stamp distinguishes it from the targets of others.
     ours = at_ns or now + AHEAD + random.randrange(1, 1000)
-    message.header.stamp = to_stamp(ours)
+    message.header.stamp = convert_to_stamp(ours)
     publisher.publish(message)
     states: list[str] = []
     last: MotionStatus | None = None
@@ -136,7 +140,11 @@ def _watch_goal(
         while heard:
             status = heard.pop(0)
             state = STATES.get(status.state, f"state {status.state}")
-            if status.kind != kind or to_nanoseconds(status.stamp) != ours or state in states:
+            if (
+                status.kind != kind
+                or convert_to_nanoseconds(status.stamp) != ours
+                or state in states
+            ):
                 continue
             states.append(state)
             last = status
@@ -165,7 +173,7 @@ def _find_logical_time(node: NetworkClient) -> int:
     newest = node.newest
     stamps = [newest["joint_states"].header.stamp] if "joint_states" in newest else []
     stamps += [newest["clock"].clock] if "clock" in newest else []
-    return max(map(to_nanoseconds, stamps))
+    return max(map(convert_to_nanoseconds, stamps))
 
 
 def _format_distance(status: MotionStatus) -> str:
@@ -231,7 +239,7 @@ def _compute_tool_pose(node: NetworkClient) -> tuple[np.ndarray, np.ndarray]:
 
     if not node.spin_until(is_ready, PATIENCE):
         raise _refuse_no_network("robot_description and a motion controller be present")
-    answer = node.ask(client, GetParameters.Request(names=["tool"]), PATIENCE)
+    answer = node.call_service(client, GetParameters.Request(names=["tool"]), PATIENCE)
     if answer is None:
         raise _refuse_no_network("the motion controller answer")
     now = node.newest["joint_states"]

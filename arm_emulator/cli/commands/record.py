@@ -19,7 +19,7 @@ def record_network(out: Path, /, *, topics: Topics = None, from_start: bool = Fa
     # Before anything that takes time: an emulator started together with this command waits.
     with RecorderPresence(topics) as presence:
         from arm_emulator.ros.recording.recorder import Recorded
-        from arm_emulator.ros.recording.recorder import record as write
+        from arm_emulator.ros.recording.recorder import record_topics as write
 
         def report_topic(recorded: Recorded) -> None:
             lost = f"; lost: {recorded.lost}" if recorded.lost else ""

@@ -6,7 +6,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.output import output
 from arm_emulator.ros.recording.bag import Bag
-from arm_emulator.ros.recording.bag_writer import repair as mend
+from arm_emulator.ros.recording.bag_writer import repair_bag as mend
 
 
 @command(keys="`bag`, `messages`, `mended`")

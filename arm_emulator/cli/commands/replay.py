@@ -101,7 +101,7 @@ def _replay_into(bag: Bag, name: str, wait: bool) -> int:
     """Play a bag into a node, and print what it has answered."""
     started = time.monotonic()
     with join_network("replayer", "") as node:
-        result = CausalReplay(bag, name, node).run(wait, output.print_line)
+        result = CausalReplay(bag, name, node).play_bag(wait, output.print_line)
     wall = time.monotonic() - started
     lost = result.requested - result.answered
     output.print_line(
@@ -171,7 +171,7 @@ def _publish_messages(bag: Bag, publishers: dict[str, Publisher], rate: float) -
     """Publish everything and return the number of messages."""
     count, origin = 0, None
     begin = time.monotonic_ns()
-    for message in bag.messages(publishers):
+    for message in bag.read_messages(publishers):
         if origin is None:
             origin = message.received
         due = begin + (message.received - origin) / rate

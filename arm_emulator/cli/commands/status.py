@@ -71,8 +71,8 @@ def show_status(
         events, statuses = cast("Any", take_event), cast("Any", take_target)
         node.create_subscription(MachineEvent, "emulator/events", events, EVENT_QOS)
         node.create_subscription(MotionStatus, "motion/status", statuses, EVENT_QOS)
-        node.listen("emulator/status", EmulatorStatus, STATE_SUB_QOS)
-        node.listen("joint_states", JointState, STATE_SUB_QOS)
+        node.listen_to("emulator/status", EmulatorStatus, STATE_SUB_QOS)
+        node.listen_to("joint_states", JointState, STATE_SUB_QOS)
         topics = {"emulator/status", "joint_states"}
         node.spin_until(lambda: topics <= set(node.newest) and set(NODES) <= set(health), timeout)
         # A network without a target publishes no status.

@@ -97,7 +97,7 @@ def start_nodes(
                     return code if code >= 0 else 128 - code
                 time.sleep(0.1)
         if record is not None:
-            return max(0, network.stop().get("emulator", 0))  # 1: its record is not complete
+            return max(0, network.stop_nodes().get("emulator", 0))  # 1: its record is not complete
     return 0
 
 

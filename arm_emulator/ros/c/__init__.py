@@ -14,7 +14,7 @@ MIDDLEWARE = Header(FOLDER / "middleware.h")
 ARRIVALS = Header(FOLDER / "arrivals.h")
 
 
-def middleware_unit() -> Unit:
+def make_middleware_unit() -> Unit:
     """Return middleware.h and what is beside it, to be compiled. It is loaded where librcl is."""
     parts = ("middleware.c", "arrivals.c", "bytes.c", "messages.c", "message_reader.c")
     source = "".join(f'#include "{part}"\n' for part in parts)

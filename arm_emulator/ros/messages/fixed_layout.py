@@ -49,7 +49,7 @@ class FixedLayout:
 
     Attributes:
         message: its fields under their names. Numbers are to be set; arrays of numbers are NumPy
-            arrays, to be written into, which the next `take` overwrites.
+            arrays, to be written into, which the next `load_message` overwrites.
         bytes: the message, to be written into by code in C, at `places`.
         places: where each number, or array of numbers, begins, by names with dots; -1: an empty
             array.
@@ -69,10 +69,10 @@ class FixedLayout:
         self._fixed: list[tuple[int, bytes]] = [(0, bytes(data[:_HEADER]))]
         self._numbers: list[tuple[Any, str, struct.Struct, int]] = []
         self._at = _HEADER
-        self.message: Any = self._lay_out(message)
+        self.message: Any = self._list_places(message)
         self.size = self._at  # bytes after it are padding
 
-    def data(self) -> bytes:
+    def write_message(self) -> bytes:
         """Return the message as it is sent."""
         return bytes(self.write_numbers()[: self.size])
 
@@ -82,7 +82,7 @@ class FixedLayout:
             kind.pack_into(self.bytes, at, getattr(owner, name))
         return self.bytes
 
-    def take(self, data: bytes) -> bool:
+    def load_message(self, data: bytes) -> bool:
         """Load a received message; False if strings, lengths or encoding differ."""
         size = self.size
         if len(data) < size:
@@ -95,7 +95,7 @@ class FixedLayout:
             setattr(owner, name, kind.unpack_from(data, at)[0])
         return True
 
-    def _lay_out(self, message: Any) -> SimpleNamespace:
+    def _list_places(self, message: Any) -> SimpleNamespace:
         root = SimpleNamespace()
         for path, kind, count, value in list_typed_fields(message):
             *within, name = path.split(".")
@@ -116,12 +116,12 @@ class FixedLayout:
             return list(value) if count else value
         if count:
             return self._add_array(path, CODES[kind], len(value))
-        at = self.places[path] = self._skip(CODES[kind])
+        at = self.places[path] = self._skip_numbers(CODES[kind])
         code = struct.Struct(self._order + CODES[kind])
         self._numbers.append((owner, path.rpartition(".")[2], code, at))
         return value
 
-    def _skip(self, kind: str, count: int = 1) -> int:
+    def _skip_numbers(self, kind: str, count: int = 1) -> int:
         """Skip numbers of a kind, aligned to their size."""
         size = struct.calcsize("=" + kind)
         at = self._at + (_HEADER - self._at) % size
@@ -130,12 +130,12 @@ class FixedLayout:
 
     def _add_array(self, path: str, kind: str, count: int) -> np.ndarray[Any, Any]:
         dtype = np.dtype(kind).newbyteorder(self._order)
-        at = self._skip(kind, count) if count else 0
+        at = self._skip_numbers(kind, count) if count else 0
         self.places[path] = at if count else -1
         return np.ndarray((count,), dtype, self.bytes, at)
 
     def _add_length(self, length: int) -> None:
-        self._add_constant(self._skip("I"), struct.pack(self._order + "I", length))
+        self._add_constant(self._skip_numbers("I"), struct.pack(self._order + "I", length))
 
     def _add_string(self, text: str) -> None:
         encoded = text.encode() + b"\0"

@@ -114,11 +114,11 @@ class MessageReader:
             names=self._at.get(names, 0),
         )
 
-    def field(self, path: str) -> CData:
+    def find_field(self, path: str) -> CData:
         """Return the ``message_field *`` of a field."""
         return self._fields + self._at[path]
 
-    def refusal(self, data: bytes) -> Refusal | None:
+    def make_refusal(self, data: bytes) -> Refusal | None:
         """Return why a message was refused that was read last, of these bytes; None: it was not."""
         rule = self.struct.rule
         if rule == _READ:

@@ -13,7 +13,7 @@ from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.c import MIDDLEWARE, middleware_unit
+from arm_emulator.ros.c import MIDDLEWARE, make_middleware_unit
 from arm_emulator.ros.messages.fixed_layout import FixedLayout
 from arm_emulator.toolchain.c_header import CData, Library
 from arm_emulator.toolchain.unit import load_library
@@ -36,7 +36,7 @@ def get_middleware() -> Library:
         except OSError as error:
             rule = "be that of the rclpy in use"
             raise Refusal("middleware", name, rule, error) from None
-    return load_library(middleware_unit())
+    return load_library(make_middleware_unit())
 
 
 class HotPath(Protocol):
@@ -54,10 +54,10 @@ class HotPath(Protocol):
     def outgoing(self) -> Sequence[Outgoing]:
         """Messages that C publishes."""
 
-    def begin(self) -> None:
-        """Prepare: from here until `end` messages are taken in C."""
+    def begin_in_c(self) -> None:
+        """Prepare: from here until `end_in_c` messages are taken in C."""
 
-    def end(self) -> None:
+    def end_in_c(self) -> None:
         """Take over the results of C."""
 
 
@@ -92,7 +92,7 @@ class Outgoing:
             for row in numbers.reshape(-1, 1) if not numbers.ndim else np.atleast_2d(numbers):
                 at = ends.get(name, places[name])
                 if len(row):
-                    copies.append(_copy(row, at, self.layout.message, name))
+                    copies.append(_make_copy(row, at, self.layout.message, name))
                 ends[name] = at + 8 * len(row)
         self._copies = ffi.new("ros_copy[]", copies)
         self._arrays = [numbers for _, numbers in further]
@@ -108,15 +108,15 @@ class Outgoing:
             number=number,
         )
 
-    def bind(self) -> Any:
+    def bind_to_c(self) -> Any:
         """Let C publish it; return the handle, which must be held meanwhile."""
         handle: Any = self.publisher.handle
         self.struct.publisher = MIDDLEWARE.ffi.cast("void *", handle.pointer)
         return handle
 
-    def publish(self) -> None:
+    def publish_message(self) -> None:
         """Publish the message with the numbers that are set."""
-        self.publisher.publish(self.layout.data())
+        self.publisher.publish(self.layout.write_message())
 
 
 _KINDS = {
@@ -128,7 +128,7 @@ _KINDS = {
 }
 
 
-def _copy(row: Numbers, at: int, message: Any, name: str) -> dict[str, Any]:
+def _make_copy(row: Numbers, at: int, message: Any, name: str) -> dict[str, Any]:
     """Return a ``ros_copy`` of a row of numbers to a byte of a message."""
     kind = _KINDS[row.dtype.str[1:], getattr(message, name).dtype.str[1:]]
     return {

@@ -9,7 +9,7 @@ from arm_emulator.base.refusal import Refusal
 NANOSECONDS = 1_000_000_000
 
 
-def to_stamp(nanoseconds: int) -> Time:
+def convert_to_stamp(nanoseconds: int) -> Time:
     """Return a message's time stamp for a logical time [ns]."""
     return Time(sec=nanoseconds // NANOSECONDS, nanosec=nanoseconds % NANOSECONDS)
 
@@ -19,7 +19,7 @@ def set_stamp(stamp: Any, nanoseconds: int) -> None:
     stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
 
 
-def to_nanoseconds(stamp: Time) -> int:
+def convert_to_nanoseconds(stamp: Time) -> int:
     """Return the logical time [ns] of a message's time stamp."""
     return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 
@@ -35,4 +35,4 @@ def check_time(where: str, stamp: Time) -> int:
         raise Refusal(
             where, "header.stamp", "be a logical time >= 0 s, with less than 1e9 ns", actual
         )
-    return to_nanoseconds(stamp)
+    return convert_to_nanoseconds(stamp)

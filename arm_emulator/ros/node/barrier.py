@@ -60,7 +60,7 @@ def convert_to_refusal(node: Guarded, where: str, error: Exception, is_service: 
     return reason
 
 
-def guard(
+def guard_callback(
     node: Guarded,
     where: str,
     callback: Callable[..., Any],
@@ -79,7 +79,7 @@ def guard(
     """
 
     @wraps(callback)
-    def guarded(*arguments: Any) -> Any:
+    def call_guarded(*arguments: Any) -> Any:
         try:
             check()
             return callback(*arguments)
@@ -87,27 +87,27 @@ def guard(
             reason = convert_to_refusal(node, where, error, refused is not None)
             return refused(reason, *arguments) if refused is not None else None
 
-    return guarded
+    return call_guarded
 
 
-def guard_later(
+def guard_coroutine(
     node: Guarded,
     where: str,
     callback: Callable[..., Awaitable[Any]],
     refused: Callable[..., Any],
     check: Callable[[], None] = lambda: None,
 ) -> Callable[..., Awaitable[Any]]:
-    """Return a coroutine function that does not fail, see `guard`."""
+    """Return a coroutine function that does not fail, see `guard_callback`."""
 
     @wraps(callback)
-    async def guarded(*arguments: Any) -> Any:
+    async def call_guarded(*arguments: Any) -> Any:
         try:
             check()
             return await callback(*arguments)
         except Exception as error:
             return refused(convert_to_refusal(node, where, error, is_service=True), *arguments)
 
-    return guarded
+    return call_guarded
 
 
 def refuse_request(reason: Refusal, request: Any, response: Any) -> Any:

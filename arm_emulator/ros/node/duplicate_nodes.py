@@ -118,14 +118,14 @@ class DuplicateNodes:
         node.create_subscription(DiagnosticArray, "diagnostics", self._take_diagnostics, late)
         create_wall_timer(node, LOOK_PERIOD, self._remove_ended_nodes)
 
-    def begin(self) -> None:
+    def announce_node(self) -> None:
         """Identify this node as one that works."""
         self._works = True
         self._diagnostics.values.update(self._mine)
         for started, duplicate in self._duplicates.items():
             self._report_duplicate(started, duplicate.words)
 
-    def end(self) -> None:
+    def withdraw_node(self) -> None:
         """Count this node as idle: no double of any other."""
         self._works = self._leads = False
         for name in self._mine:
@@ -163,7 +163,7 @@ class DuplicateNodes:
             first = self._find_first()
             if first and alone:
                 executor.remove_node(self._node)
-                self.end()
+                self.withdraw_node()
                 rule = f"be the only one on {self._topic}"
                 actual = f"another one that was started before, {first.words}"
                 valid = "--allow-second, or allow_second:=true in the launch file"
@@ -235,7 +235,7 @@ class DuplicateNodes:
             if self._duplicates and self._works
             else {}
         )
-        self._diagnostics.publish()
+        self._diagnostics.publish_now()
 
     def _remove_ended_nodes(self) -> None:
         if not self._duplicates:

@@ -9,7 +9,12 @@ from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
-from arm_emulator.ros.node.sole_publisher import SolePublisher, call_back, receive, split_received
+from arm_emulator.ros.node.sole_publisher import (
+    SolePublisher,
+    call_back,
+    receive_message,
+    split_received,
+)
 from arm_emulator.workarounds.rclpy_internals import call_subscription_back, make_wait_set
 
 
@@ -50,7 +55,7 @@ class Entities:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
-    def wait(
+    def wait_for_events(
         self, seconds: float, subscriptions: list[Any], guard: Any = None, *, alone: bool = False
     ) -> None:
         """Wait for some of the subscriptions, and unless alone for any timer, service or guard.
@@ -72,7 +77,7 @@ class Entities:
         if not self._owner.ok():
             raise ExternalShutdownException
 
-    def ready_subscriptions(self) -> list[Any]:
+    def list_ready_subscriptions(self) -> list[Any]:
         """Return those that have messages."""
         return self._list_ready("subscription", self.subscriptions)
 
@@ -113,7 +118,7 @@ def take_message(subscription: Any, sole: SolePublisher | None = None) -> bool:
         sole: the publisher whose messages are taken; None: any.
     """
     if sole is not None:
-        received = receive(subscription, sole.owner)
+        received = receive_message(subscription, sole.owner)
         if received is not None:
             call_back(subscription, sole, *split_received(received))
         return received is not None

@@ -23,7 +23,12 @@ from arm_emulator.ros.c import ARRIVALS, MIDDLEWARE
 from arm_emulator.ros.messages.middleware import HotPath, get_middleware
 from arm_emulator.ros.node.entities import Entities, take_message
 from arm_emulator.ros.node.managed_node import ManagedNode
-from arm_emulator.ros.node.sole_publisher import SolePublisher, call_back, deliver, split_received
+from arm_emulator.ros.node.sole_publisher import (
+    SolePublisher,
+    call_back,
+    deliver_message,
+    split_received,
+)
 from arm_emulator.workarounds.rclpy_internals import make_guard_condition
 
 # s, wall: interval at which new entities are looked for, and those served that are left to
@@ -97,7 +102,7 @@ class LeanExecutor:
     def _end_arrivals(self) -> None:
         arrivals, self._arrivals = self._arrivals, None
         if arrivals is not None:
-            arrivals.end()
+            arrivals.end_path()
 
     @property
     def _generation(self) -> int:
@@ -109,17 +114,17 @@ class LeanExecutor:
         """Publishers whose messages are taken, by subscription."""
         return self._node.sole_publishers if isinstance(self._node, ManagedNode) else {}
 
-    def _take(self, subscription: Any) -> None:
+    def _take_oldest(self, subscription: Any) -> None:
         self._take_message(subscription, self._soles.get(subscription))
 
     def _deliver_withheld(self) -> None:
         """Report what was dropped; call back where the publisher has become the one meanwhile."""
         for subscription, sole in [*self._soles.items()]:
-            sole.report()
+            sole.report_dropped()
             for data in sole.release_withheld():
-                deliver(subscription, data)
+                deliver_message(subscription, data)
 
-    def _count(self, in_c: int, in_python: bool) -> None:
+    def _count_messages(self, in_c: int, in_python: bool) -> None:
         if isinstance(self._node, ManagedNode):
             self._node.in_c_so_far += in_c
             self._node.in_python_so_far += in_python
@@ -132,25 +137,25 @@ class LeanExecutor:
         ]
         beside = getattr(self._hot, "beside", ())
         while time.monotonic() < until and generation == self._generation:
-            open_ = arrivals.open()
+            open_ = arrivals.open_path()
             try:
                 while True:
                     left = until - time.monotonic() if open_ else 0.0
-                    entities.wait(left, others, arrivals.guard)
+                    entities.wait_for_events(left, others, arrivals.guard)
                     if left <= 0.0 or not entities.has_only_timers(beside):
                         break
                     entities.serve_timers()
             finally:  # a signal ends the wait: what C has done so far is recorded, too
-                in_c = arrivals.close()
+                in_c = arrivals.close_path()
             message = arrivals.list_left()
-            self._count(in_c, message is not None)
+            self._count_messages(in_c, message is not None)
             if message is not None:
                 subscription, data, publisher = message
                 call_back(subscription, self._soles.get(subscription), data, publisher)
             entities.serve_timers()
             entities.serve_services()
-            for subscription in entities.ready_subscriptions():
-                self._take(subscription)
+            for subscription in entities.list_ready_subscriptions():
+                self._take_oldest(subscription)
 
     def _serve_in_python(self, entities: Entities, until: float) -> None:
         """Wait for messages alone while they keep coming, and check the rest now and then."""
@@ -158,16 +163,16 @@ class LeanExecutor:
         while (now := time.monotonic()) < until and generation == self._generation:
             messages_alone = busy and now < look
             if messages_alone:
-                entities.wait(look - now, entities.subscriptions, alone=True)
+                entities.wait_for_events(look - now, entities.subscriptions, alone=True)
             else:
-                entities.wait(0.0 if busy else until - now, entities.subscriptions)
+                entities.wait_for_events(0.0 if busy else until - now, entities.subscriptions)
                 entities.serve_timers()
                 entities.serve_services()
                 look = time.monotonic() + REST
-            ready = entities.ready_subscriptions()
+            ready = entities.list_ready_subscriptions()
             for subscription in ready:
-                self._take(subscription)
-            self._count(0, bool(ready))
+                self._take_oldest(subscription)
+            self._count_messages(0, bool(ready))
             busy = bool(ready) or messages_alone
 
 
@@ -199,7 +204,7 @@ class Arrivals:
         for subscription in self._subscriptions:
             self._stack.enter_context(subscription.handle)
         for message in hot.outgoing:
-            self._stack.enter_context(message.bind())
+            self._stack.enter_context(message.bind_to_c())
         self.guard: Any = make_guard_condition(context)
         self._stack.enter_context(self.guard)
         ffi, self._calls = ARRIVALS.ffi, get_middleware()
@@ -221,15 +226,15 @@ class Arrivals:
     def __contains__(self, subscription: Subscription) -> bool:
         return subscription in self._subscriptions
 
-    def open(self) -> bool:
+    def open_path(self) -> bool:
         """Let messages be taken; False if one was left to Python."""
-        self._hot.begin()
+        self._hot.begin_in_c()
         return bool(self._calls.ros_arrivals_open(self._all))
 
-    def close(self) -> int:
+    def close_path(self) -> int:
         """Let no more be taken; return how many were since the last time."""
         self._calls.ros_arrivals_close(self._all, self._arrived)
-        self._hot.end()
+        self._hot.end_in_c()
         before, self._handled = self._handled, self._arrived.handled
         return int(self._handled - before)
 
@@ -240,7 +245,7 @@ class Arrivals:
             return None
         return self._subscriptions[arrived.left], *split_received(arrived.message)
 
-    def end(self) -> None:
+    def end_path(self) -> None:
         """Stop for good; nothing may be taken in C afterwards."""
         self._calls.ros_arrivals_delete(self._all)
         self._stack.close()

@@ -17,7 +17,12 @@ from rclpy.qos import DurabilityPolicy
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.messages.middleware import HotPath
-from arm_emulator.ros.node.barrier import guard, guard_later, refuse_request, set_singly
+from arm_emulator.ros.node.barrier import (
+    guard_callback,
+    guard_coroutine,
+    refuse_request,
+    set_singly,
+)
 from arm_emulator.ros.node.sole_publisher import OwnExecutorOnly, SolePublisher
 from arm_emulator.workarounds.rclpy_internals import (
     get_state,
@@ -34,8 +39,8 @@ TRANSITIONS = range(Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIV
 class ManagedNode(LifecycleNode):
     """A node that is configured, activated, deactivated, cleaned up, and shut down.
 
-    A subclass declares its parameters in its constructor, and calls `start` at its end. Entities
-    that it creates in `configure` work while it is active: otherwise messages to them are dropped,
+    A subclass declares its parameters in its constructor, and calls `start_lifecycle` at its end. Entities
+    that it creates in `create_entities` work while it is active: otherwise messages to them are dropped,
     their timers stand, and their services refuse. Those of the constructor work in every state.
     All callbacks of messages and services are behind the barrier, see `guard`.
 
@@ -49,7 +54,7 @@ class ManagedNode(LifecycleNode):
         settable: names of the parameters that may be set in every state; the others while it is
             unconfigured.
         configured, active: its state.
-        starting: the newest one whose `start` has not succeeded, which no other code may have yet.
+        starting: the newest one whose `start_lifecycle` has not succeeded, which no other code may have yet.
         generation: number of transitions so far.
         in_c_so_far, in_python_so_far: messages taken in C, and in Python, since its start.
         hot: its messages in C; None: nothing.
@@ -72,7 +77,9 @@ class ManagedNode(LifecycleNode):
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         replace_transition_callback(self, self._handle_change_state)
         for service in self.services:  # of rclpy, made without `create_service`
-            service.callback = guard(self, service.srv_name, service.callback, refuse_request)
+            service.callback = guard_callback(
+                self, service.srv_name, service.callback, refuse_request
+            )
         self.settable: set[str] = set()
         self.cleanup = ExitStack()
         self._permanent: list[Any] = []  # entities of the constructor
@@ -86,14 +93,14 @@ class ManagedNode(LifecycleNode):
 
     # Work of a subclass
 
-    def configure(self) -> None:
+    def create_entities(self) -> None:
         """Create all that works while the node is active; a Refusal leaves it unconfigured."""
 
-    def activate(self) -> None:
+    def begin_work(self) -> None:
         """Begin to work; a Refusal leaves the node inactive."""
 
-    def deactivate(self) -> None:
-        """Stand still, so that `activate` can go on."""
+    def stop_work(self) -> None:
+        """Stand still, so that `begin_work` can go on."""
 
     # For its owner
 
@@ -116,7 +123,7 @@ class ManagedNode(LifecycleNode):
             "processor time [s]": f"{time.process_time():.2f}",
         }
 
-    def start(self) -> None:
+    def start_lifecycle(self) -> None:
         """Configure and activate, unless `autostart` is false.
 
         Raises:
@@ -131,8 +138,8 @@ class ManagedNode(LifecycleNode):
             self._run_transitions(self.trigger_configure, self.trigger_activate)
             ManagedNode.starting = None
 
-    def restart(self) -> None:
-        """Clean up, and start as at the begin, see `start`."""
+    def restart_lifecycle(self) -> None:
+        """Clean up, and start as at the begin, see `start_lifecycle`."""
         self._run_transitions(self.trigger_deactivate, self.trigger_cleanup)
         self._run_transitions(self.trigger_configure, self.trigger_activate)
 
@@ -154,15 +161,15 @@ class ManagedNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """See `LifecycleNode`."""
-        return self._try_transition(self._configure, self._release_entities)
+        return self._try_transition(self._configure_node, self._release_entities)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """See `LifecycleNode`."""
-        return self._try_transition(self._activate, self._stop_timers)
+        return self._try_transition(self._activate_node, self._stop_timers)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """See `LifecycleNode`."""
-        return self._try_transition(self._deactivate, self._stop_timers)
+        return self._try_transition(self._deactivate_node, self._stop_timers)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """See `LifecycleNode`."""
@@ -171,7 +178,7 @@ class ManagedNode(LifecycleNode):
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """See `LifecycleNode`."""
         if self.active:
-            self._try_transition(self._deactivate, self._stop_timers)
+            self._try_transition(self._deactivate_node, self._stop_timers)
         return self._try_transition(self._release_entities, self._release_entities)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -197,25 +204,25 @@ class ManagedNode(LifecycleNode):
             return TransitionCallbackReturn.ERROR
         return TransitionCallbackReturn.SUCCESS
 
-    def _configure(self) -> None:
+    def _configure_node(self) -> None:
         self._permanent = self._list_entities()
         self._configuring = True
         try:
-            self.configure()
+            self.create_entities()
         finally:
             self._configuring = False
         self.configured = True
         self._stop_timers()
 
-    def _activate(self) -> None:
-        self.activate()
+    def _activate_node(self) -> None:
+        self.begin_work()
         self.active = True
         for timer in self._stopped:
             timer.reset()
         self._stopped = []
 
-    def _deactivate(self) -> None:
-        self.deactivate()
+    def _deactivate_node(self) -> None:
+        self.stop_work()
         self._stop_timers()
 
     def _stop_timers(self) -> None:
@@ -233,7 +240,7 @@ class ManagedNode(LifecycleNode):
         try:
             self.cleanup.close()
         finally:
-            # Entities of `configure`, and later ones.
+            # Entities of `create_entities`, and later ones.
             for one in (
                 entity for entity in self._list_entities() if entity not in self._permanent
             ):
@@ -260,7 +267,7 @@ class ManagedNode(LifecycleNode):
     ) -> ChangeState.Response:
         try:
             number = self._check_transition(request.transition)
-            self._trigger(number)
+            self._trigger_transition(number)
             self._log_result()
         except Refusal as reason:
             self.get_logger().warning(str(reason))
@@ -268,7 +275,7 @@ class ManagedNode(LifecycleNode):
         response.success = self._error is None
         return response
 
-    def _trigger(self, number: int) -> None:
+    def _trigger_transition(self, number: int) -> None:
         """Go through a transition."""
         triggers = {
             Transition.TRANSITION_CONFIGURE: self.trigger_configure,
@@ -325,7 +332,7 @@ class ManagedNode(LifecycleNode):
         only_from: str | None = None,
         **named: Any,
     ) -> Any:
-        """Create a subscription; in `configure` one that works while the node is active.
+        """Create a subscription; in `create_entities` one that works while the node is active.
 
         Args:
             msg_type: as of `Node`.
@@ -336,13 +343,15 @@ class ManagedNode(LifecycleNode):
             **named: as of `Node`.
         """
 
-        def gated(message: Any) -> None:
+        def pass_if_active(message: Any) -> None:
             if self.active:
                 callback(message)
 
         if topic == CLOCK:  # rclpy's own, of `use_sim_time`
             only_from = "emulator"
-        guarded = guard(self, topic.strip("/"), gated if self._configuring else callback)
+        guarded = guard_callback(
+            self, topic.strip("/"), pass_if_active if self._configuring else callback
+        )
         if only_from is None:
             return super().create_subscription(msg_type, topic, guarded, *more, **named)
         named["callback_group"] = OwnExecutorOnly()
@@ -365,7 +374,7 @@ class ManagedNode(LifecycleNode):
         refuse: Callable[[Any, str], None] | None = None,
         **named: Any,
     ) -> Any:
-        """Create a service; in `configure` one that refuses while the node is not active.
+        """Create a service; in `create_entities` one that refuses while the node is not active.
 
         Args:
             srv_type: as of `Node`.
@@ -376,7 +385,7 @@ class ManagedNode(LifecycleNode):
         """
         name = srv_name.strip("~/")
 
-        def refused(reason: Refusal, request: Any, response: Any) -> Any:
+        def refuse_request(reason: Refusal, request: Any, response: Any) -> Any:
             if refuse is not None:
                 return refuse(response, str(reason))
             return refuse_request(reason, request, response)
@@ -386,8 +395,8 @@ class ManagedNode(LifecycleNode):
                 raise Refusal(name, "request", "come while the node is active", self.state)
 
         needs_active = self._configuring
-        wrap = guard_later if inspect.iscoroutinefunction(callback) else guard
-        guarded: Callable[..., Any] = wrap(self, name, callback, refused, check_active)
+        wrap = guard_coroutine if inspect.iscoroutinefunction(callback) else guard_callback
+        guarded: Callable[..., Any] = wrap(self, name, callback, refuse_request, check_active)
         if srv_type is SetParameters:
             guarded = set_singly(guarded)
         return super().create_service(srv_type, srv_name, guarded, **named)

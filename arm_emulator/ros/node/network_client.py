@@ -39,7 +39,7 @@ class NetworkClient(Node):
         self._executor.add_node(self)
         self.newest: dict[str, Any] = {}
 
-    def listen(self, topic: str, kind: Any, qos: QoSProfile) -> None:
+    def listen_to(self, topic: str, kind: Any, qos: QoSProfile) -> None:
         """Keep the newest message of a topic from now on."""
         self.create_subscription(
             kind, topic, lambda message: self.newest.__setitem__(topic, message), qos
@@ -55,7 +55,7 @@ class NetworkClient(Node):
                 self._executor.spin_once(timeout_sec=0.05)
         return True
 
-    def ask(self, client: Any, request: Any, patience: float) -> Any:
+    def call_service(self, client: Any, request: Any, patience: float) -> Any:
         """Call a service and return its answer; None: it gave none within this time [s].
 
         A server that has not discovered this client yet loses its answer. So the request is sent

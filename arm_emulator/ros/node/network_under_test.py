@@ -16,7 +16,11 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.messages.event_words import STATES
-from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds, to_stamp
+from arm_emulator.ros.messages.time_stamp import (
+    NANOSECONDS,
+    convert_to_nanoseconds,
+    convert_to_stamp,
+)
 from arm_emulator.ros.node.network_client import NetworkClient
 from arm_emulator.ros.node.node_shell import (
     COMMAND_QOS,
@@ -54,8 +58,8 @@ class NetworkUnderTest:
         self._client = client = NetworkClient("test", "", context)
         self.statuses: list[MotionStatus] = []
         self._targets: list[tuple[int, int]] = []  # kind and time [ns] of each target sent
-        client.listen("emulator/joint_states", JointState, STATE_PUB_QOS)
-        client.listen("emulator/status", EmulatorStatus, STATE_PUB_QOS)
+        client.listen_to("emulator/joint_states", JointState, STATE_PUB_QOS)
+        client.listen_to("emulator/status", EmulatorStatus, STATE_PUB_QOS)
         client.create_subscription(MotionStatus, "motion/status", self.statuses.append, EVENT_QOS)
         client.create_subscription(DiagnosticArray, "diagnostics", self._take_health, HEALTH_QOS)
         create = client.create_publisher
@@ -69,31 +73,35 @@ class NetworkUnderTest:
     @property
     def status(self) -> EmulatorStatus:
         """The newest emulator/status."""
-        self._wait("emulator/status", lambda: "emulator/status" in self._client.newest)
+        self._wait_until("emulator/status", lambda: "emulator/status" in self._client.newest)
         newest: EmulatorStatus = self._client.newest["emulator/status"]
         return newest
 
     @property
     def truth(self) -> JointState:
         """The newest true angles, speeds and torques of the links."""
-        self._wait("true joint states", lambda: "emulator/joint_states" in self._client.newest)
+        self._wait_until(
+            "true joint states", lambda: "emulator/joint_states" in self._client.newest
+        )
         newest: JointState = self._client.newest["emulator/joint_states"]
         return newest
 
     @property
     def time(self) -> float:
         """Logical time of `truth` [s]."""
-        return to_nanoseconds(self.truth.header.stamp) / NANOSECONDS
+        return convert_to_nanoseconds(self.truth.header.stamp) / NANOSECONDS
 
     def go_on(self, paused: bool = False) -> None:
         """Let logical time pass, or pause it. Tick 0 is left when it was answered."""
         if not paused:
-            self._wait("answer to tick 0", lambda: self.status.tick > 0 or self.status.answered)
-        self._switch("emulator/pause", paused)
+            self._wait_until(
+                "answer to tick 0", lambda: self.status.tick > 0 or self.status.answered
+            )
+        self._switch_state("emulator/pause", paused)
 
     def power(self, on: bool) -> None:
         """Switch the power of all drives."""
-        self._switch("emulator/power", on)
+        self._switch_state("emulator/power", on)
 
     def set_fault(self, name: str, magnitude: float = 1.0) -> None:
         """Set a fault that the scene lists, 0 for none, from this tick on.
@@ -104,13 +112,13 @@ class NetworkUnderTest:
             Refusal: the scene does not list it, or another magnitude.
         """
         request = SetVaried.Request(name=f"faults.{name}", value=float(magnitude))
-        answer = self._call(SetVaried, "emulator/set_varied", request)
+        answer = self._call_service(SetVaried, "emulator/set_varied", request)
         if not answer.success:
             raise Refusal("testing.network", f"fault {name}", "be settable", answer.message)
 
     def wait_until(self, t: float) -> None:
         """Wait until a logical time [s]."""
-        self._wait(f"t = {t:g} s", lambda: self.time >= t)
+        self._wait_until(f"t = {t:g} s", lambda: self.time >= t)
 
     def send_tool_target(
         self,
@@ -132,7 +140,7 @@ class NetworkUnderTest:
         p, o = message.pose.position, message.pose.orientation
         p.x, p.y, p.z = map(float, position)
         o.x, o.y, o.z, o.w = map(float, quaternion)
-        return self._send(self._tool_targets, message, MotionStatus.KIND_TOOL_TARGET, at)
+        return self._send_message(self._tool_targets, message, MotionStatus.KIND_TOOL_TARGET, at)
 
     def send_joint_target(
         self, angles: Mapping[str, float], seconds: float, at: float | None = None
@@ -153,7 +161,9 @@ class NetworkUnderTest:
         total_ns = round(seconds * NANOSECONDS)
         point.time_from_start.sec, point.time_from_start.nanosec = divmod(total_ns, NANOSECONDS)
         message = JointTrajectory(joint_names=list(angles), points=[point])
-        return self._send(self._trajectories, message, MotionStatus.KIND_JOINT_TRAJECTORY, at)
+        return self._send_message(
+            self._trajectories, message, MotionStatus.KIND_JOINT_TRAJECTORY, at
+        )
 
     def state_of(self, number: int) -> str:
         """Return the newest state of a target: "accepted", "moving", "reached", ...; "": none."""
@@ -161,7 +171,7 @@ class NetworkUnderTest:
         states = [
             STATES.get(status.state, f"state {status.state}")
             for status in self.statuses
-            if status.kind == kind and to_nanoseconds(status.stamp) == time_ns
+            if status.kind == kind and convert_to_nanoseconds(status.stamp) == time_ns
         ]
         return states[-1] if states else ""
 
@@ -171,7 +181,7 @@ class NetworkUnderTest:
         Raises:
             AssertionError: it has come to an end in another one.
         """
-        self._wait(f"an end of target {number}", lambda: self._is_settled(number, state))
+        self._wait_until(f"an end of target {number}", lambda: self._is_settled(number, state))
         actual = self.state_of(number)
         assert actual == state, (
             f"target {number} is {actual}, not {state}: {self._find_reason(number)}"
@@ -184,22 +194,22 @@ class NetworkUnderTest:
     def _find_reason(self, number: int) -> str:
         kind, time_ns = self._targets[number]
         of = [status for status in self.statuses if status.kind == kind]
-        return next((o.reason for o in of[::-1] if to_nanoseconds(o.stamp) == time_ns), "")
+        return next((o.reason for o in of[::-1] if convert_to_nanoseconds(o.stamp) == time_ns), "")
 
-    def _send(self, publisher: Publisher, message: Any, kind: int, at: float | None) -> int:
-        self._wait(
+    def _send_message(self, publisher: Publisher, message: Any, kind: int, at: float | None) -> int:
+        self._wait_until(
             f"listeners to {publisher.topic_name}",
             lambda: self._client.is_heard(publisher, "motion/status"),
         )
         # Until then trajectories are refused.
-        self._wait("a motion controller that knows the arm", self._has_arm)
+        self._wait_until("a motion controller that knows the arm", self._has_arm)
         number = len(self._targets)
         # The nanoseconds distinguish targets of one time.
         time_ns = round((self.time + AHEAD if at is None else at) * NANOSECONDS) + number
         self._targets.append((kind, time_ns))
-        message.header.stamp = to_stamp(time_ns)
+        message.header.stamp = convert_to_stamp(time_ns)
         publisher.publish(message)
-        self._wait(f"an answer to target {number}", lambda: self.state_of(number) != "")
+        self._wait_until(f"an answer to target {number}", lambda: self.state_of(number) != "")
         return number
 
     def _take_health(self, array: DiagnosticArray) -> None:
@@ -211,20 +221,20 @@ class NetworkUnderTest:
             health is not None and health.message not in ("starting", NO_DESCRIPTION)
         )
 
-    def _switch(self, service: str, on: bool) -> None:
-        self._call(SetBool, service, SetBool.Request(data=on))
+    def _switch_state(self, service: str, on: bool) -> None:
+        self._call_service(SetBool, service, SetBool.Request(data=on))
 
-    def _call(self, kind: Any, service: str, request: Any) -> Any:
+    def _call_service(self, kind: Any, service: str, request: Any) -> Any:
         client = self._client.create_client(kind, service)
-        self._wait(f"service {service}", client.service_is_ready)
+        self._wait_until(f"service {service}", client.service_is_ready)
         # Until then requests are refused: the emulator first looks whether it is the only one.
-        self._wait("an active emulator", lambda: "emulator/status" in self._client.newest)
-        answer = self._client.ask(client, request, PATIENCE)
+        self._wait_until("an active emulator", lambda: "emulator/status" in self._client.newest)
+        answer = self._client.call_service(client, request, PATIENCE)
         assert answer is not None, f"no answer of {service} within {PATIENCE:g} s of wall time"
         self._client.destroy_client(client)
         return answer
 
-    def _wait(self, event: str, condition: Callable[[], bool]) -> None:
+    def _wait_until(self, event: str, condition: Callable[[], bool]) -> None:
         deadline = time.monotonic() + PATIENCE
         while not self._client.spin_until(condition, 0.5):
             assert (ended := self._ended()) is None, f"{ended} ended, no {event}"

@@ -52,7 +52,7 @@ def declare_parameters(node: ManagedNode, kind: type[Parameters]) -> Parameters:
         )
         if field.metadata["settable"]:
             node.settable.add(field.name)
-        describe(node, field.name, descriptor, field.metadata.get("number"))
+        describe_parameter(node, field.name, descriptor, field.metadata.get("number"))
     return kind(**values)
 
 
@@ -87,7 +87,7 @@ def accept_changes(
         take: gets those objects if nothing is refused.
     """
 
-    def changes(parameters: list[RosParameter]) -> dict[str, Any]:
+    def list_changes(parameters: list[RosParameter]) -> dict[str, Any]:
         own = (
             parameter
             for parameter in parameters
@@ -95,23 +95,23 @@ def accept_changes(
         )
         return {parameter.name: parameter.value for parameter in own}
 
-    def check(parameters: list[RosParameter]) -> SetParametersResult:
+    def check_changes(parameters: list[RosParameter]) -> SetParametersResult:
         try:
-            for name in changes(parameters):
+            for name in list_changes(parameters):
                 if node.configured and name not in node.settable:
                     where, rule = f"node {node.get_name()}", "be set while the node is unconfigured"
                     raise Refusal(where, f"parameter {name}", rule, node.state)
-            prepare(changes(parameters))
+            prepare(list_changes(parameters))
         except Refusal as reason:
             return SetParametersResult(successful=False, reason=str(reason))
         return SetParametersResult(successful=True)
 
-    def on_change(parameters: list[RosParameter]) -> None:
-        if changed := changes(parameters):
+    def handle_change(parameters: list[RosParameter]) -> None:
+        if changed := list_changes(parameters):
             take(prepare(changed))
 
-    node.add_on_set_parameters_callback(check)
-    node.add_post_set_parameters_callback(on_change)
+    node.add_on_set_parameters_callback(check_changes)
+    node.add_post_set_parameters_callback(handle_change)
 
 
 def replace_parameters(
@@ -127,7 +127,7 @@ def replace_parameters(
     return dataclasses.replace(config, **checked)  # type: ignore[type-var]
 
 
-def describe(
+def describe_parameter(
     node: ManagedNode, name: str, descriptor: ParameterDescriptor, number: Number | None
 ) -> None:
     """Set a parameter's descriptor, with its range; None: it is not a number.

@@ -61,7 +61,7 @@ ENDING = 5.0  # s, wall: time for the middleware to end
 def guard_clock(node: Node, refuse: Callable[[str, Refusal], None]) -> None:
     """Refuse times on `clock` that rclpy's own subscription (`use_sim_time`) would fail at."""
 
-    def take(follow: Callable[[ClockMessage], None], message: ClockMessage) -> None:
+    def take_clock(follow: Callable[[ClockMessage], None], message: ClockMessage) -> None:
         try:
             check_time("clock", message.clock)
         except Refusal as reason:
@@ -69,7 +69,7 @@ def guard_clock(node: Node, refuse: Callable[[str, Refusal], None]) -> None:
             return
         follow(message)
 
-    replace_clock_callback(node, take)
+    replace_clock_callback(node, take_clock)
 
 
 def create_wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:
@@ -110,48 +110,48 @@ class Diagnostics:
         self.values: dict[str, object] = {}
         self._node = node
         self.duplicates: dict[str, str] = {}
-        guard_clock(node, self.refuse)
+        guard_clock(node, self.refuse_input)
         if isinstance(node, ManagedNode):
-            node.refuse, node.count = self.refuse, self.count
+            node.refuse, node.count = self.refuse_input, self.count_input
             node.note = self.values.__setitem__
         # With `use_sim_time` too: health is needed when logical time stands still.
-        create_wall_timer(node, 1.0, self.publish)
+        create_wall_timer(node, 1.0, self.publish_now)
 
     @property
     def refused(self) -> int:
         """Number of inputs refused so far."""
         return self._refused.total()
 
-    def refuse(self, topic: str, reason: Refusal, times: int = 1) -> None:
+    def refuse_input(self, topic: str, reason: Refusal, times: int = 1) -> None:
         """Count and log a refused input, which came several times."""
         first = self._refused[topic] == 0
         self._refused[topic] += times
         self._newest_refusal = str(reason)
         self.log.warn_about(f"{topic}: {_strip_figures(reason.rule)}", f"refused: {reason}")
         if first:
-            self.publish()
+            self.publish_now()
 
-    def count(self, counter: str, times: int = 1) -> None:
+    def count_input(self, counter: str, times: int = 1) -> None:
         """Count under `counter` an input that was not needed, without a warning."""
         before = self.values.get(counter, 0)
         assert isinstance(before, int)
         self.values[counter] = before + times
         if not before:
-            self.publish()
+            self.publish_now()
 
     def report_ok(self, message: str) -> None:
         """Report normal operation, and the present activity."""
-        self._report(DiagnosticStatus.OK, message)
+        self._report_message(DiagnosticStatus.OK, message)
 
     def report_warning(self, message: str) -> None:
         """Report an impediment; the node continues."""
-        self._report(DiagnosticStatus.WARN, message)
+        self._report_message(DiagnosticStatus.WARN, message)
 
-    def error(self, message: str) -> None:
+    def report_error(self, message: str) -> None:
         """Report the reason why the node's work stopped."""
-        self._report(DiagnosticStatus.ERROR, message)
+        self._report_message(DiagnosticStatus.ERROR, message)
 
-    def publish(self) -> None:
+    def publish_now(self) -> None:
         """Publish now."""
         level = self._level
         if level == DiagnosticStatus.OK and (self._refused or self.duplicates):
@@ -174,11 +174,11 @@ class Diagnostics:
         array.header.stamp = self._clock.now().to_msg()
         self.send(array)
 
-    def _report(self, level: bytes, message: str) -> None:
+    def _report_message(self, level: bytes, message: str) -> None:
         changed = level != self._level or _strip_figures(message) != _strip_figures(self._message)
         self._level, self._message = level, message
         if changed:
-            self.publish()
+            self.publish_now()
 
 
 def _strip_figures(message: str) -> str:
@@ -186,7 +186,7 @@ def _strip_figures(message: str) -> str:
     return re.sub(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", "#", message)
 
 
-def _init() -> None:
+def _init_ros() -> None:
     clear_left_over()
     try:
         rclpy.init()
@@ -195,7 +195,7 @@ def _init() -> None:
         raise Refusal("command line", "the ROS arguments", "be well-formed", actual) from None
 
 
-def _spin(node: ManagedNode) -> None:
+def _spin_node(node: ManagedNode) -> None:
     """Let a node work until a signal ends it."""
     while not CtrlC.signal:
         CtrlC.leave_to_rclpy()
@@ -203,7 +203,7 @@ def _spin(node: ManagedNode) -> None:
             LeanExecutor(node).spin()
         except Restart:
             CtrlC.break_off_again()
-            node.restart()
+            node.restart_lifecycle()
 
 
 def run_node(create: Callable[[], ManagedNode]) -> None:
@@ -214,9 +214,9 @@ def run_node(create: Callable[[], ManagedNode]) -> None:
     try:
         with ctrl_c, suppress_shutdown_errors():
             try:
-                _init()
+                _init_ros()
                 node = create()
-                _spin(node)
+                _spin_node(node)
             finally:
                 # Another Ctrl-C, from the terminal beside the launcher's, must not break off the
                 # ending.

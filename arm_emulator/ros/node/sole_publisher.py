@@ -46,7 +46,7 @@ class OwnExecutorOnly(CallbackGroup):
         """See `CallbackGroup`."""
 
 
-def receive(subscription: Any, owner: CData | None = None) -> CData | None:
+def receive_message(subscription: Any, owner: CData | None = None) -> CData | None:
     """Take the oldest message that is not dropped, as ``ros_received``; None if none has come.
 
     Args:
@@ -113,7 +113,7 @@ class SolePublisher:
         now = time.monotonic()
         if now >= self._judged_until.get(publisher, 0.0):
             nodes = self._list_nodes()
-            is_owner, is_final = self._judge(publisher, nodes)
+            is_owner, is_final = self._judge_publisher(publisher, nodes)
             if not is_owner:
                 self._refused, self._refused_name = publisher, nodes.get(publisher, "")
                 if not self._keeps:  # else they are withheld, each one
@@ -126,7 +126,7 @@ class SolePublisher:
         self.owner.dropped += 1
         return False
 
-    def report(self) -> None:
+    def report_dropped(self) -> None:
         """Report messages of others that were dropped since the last time.
 
         The report waits for the names of both nodes, which the graph may learn some time after
@@ -157,7 +157,7 @@ class SolePublisher:
         self._node.note(f"other publishers of {self._topic}", refusal)
         self._node.refuse(self._topic, refusal, dropped)
 
-    def withhold(self, data: bytes, publisher: bytes) -> None:
+    def withhold_message(self, data: bytes, publisher: bytes) -> None:
         """Keep a message that was not admitted, where its publisher does not repeat it."""
         if self._keeps:
             self.withheld = [*self.withheld[1 - WITHHELD_LIMIT :], (data, publisher)]
@@ -168,7 +168,7 @@ class SolePublisher:
             return []
         nodes = self._list_nodes()
         for publisher in {publisher for _, publisher in self.withheld}:
-            if publisher != self._owner and self._judge(publisher, nodes)[0]:
+            if publisher != self._owner and self._judge_publisher(publisher, nodes)[0]:
                 self._take_over(publisher)
         released = [data for data, publisher in self.withheld if publisher == self._owner]
         self.withheld = [
@@ -188,7 +188,7 @@ class SolePublisher:
         endpoints = self._node.get_publishers_info_by_topic(self._full)
         return {bytes(endpoint.endpoint_gid): get_full_name(endpoint) for endpoint in endpoints}
 
-    def _judge(self, publisher: bytes, nodes: dict[bytes, str]) -> tuple[bool, bool]:
+    def _judge_publisher(self, publisher: bytes, nodes: dict[bytes, str]) -> tuple[bool, bool]:
         """Return whether a publisher is the one, and whether it stays so while it publishes."""
         of_kind = self._list_nodes_of_kind()
         ours = [gid for gid, name in nodes.items() if name in of_kind]
@@ -216,12 +216,12 @@ class SolePublisher:
 def call_back(subscription: Any, sole: SolePublisher | None, data: bytes, publisher: bytes) -> None:
     """Call back with the bytes of a message if its publisher is admitted."""
     if sole is None or sole.is_admitted(publisher):
-        deliver(subscription, data)
+        deliver_message(subscription, data)
     else:
-        sole.withhold(data, publisher)
+        sole.withhold_message(data, publisher)
 
 
-def deliver(subscription: Any, data: bytes) -> None:
+def deliver_message(subscription: Any, data: bytes) -> None:
     """Call back with the bytes of a message."""
     if subscription.raw:
         subscription.callback(data)

@@ -97,16 +97,16 @@ class Bringup:
     def __enter__(self) -> Self:
         try:
             for name in self._words:
-                self.start(name)
+                self.start_node(name)
         except BaseException:
-            self.stop()
+            self.stop_nodes()
             raise
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.stop()
+        self.stop_nodes()
 
-    def start(self, name: str) -> None:
+    def start_node(self, name: str) -> None:
         """Start one node (again)."""
         log: IO[bytes] | None = None
         if self.log is not None:
@@ -116,7 +116,9 @@ class Bringup:
         process: subprocess.Popen[bytes] | ForkedNode
         if self._forks is not None:
             output = None if log is None else log.fileno()
-            process = self._forks.start(module, words, {**os.environ, **get_python_path()}, output)
+            process = self._forks.fork_node(
+                module, words, {**os.environ, **get_python_path()}, output
+            )
         else:
             with CtrlC.delay_interrupt():  # which is printed and lost in what Python does at forks
                 process = subprocess.Popen(
@@ -124,7 +126,7 @@ class Bringup:
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=subprocess.STDOUT if log is not None else None,
-                    process_group=0,  # takes no signals from the terminal: `stop` passes them on
+                    process_group=0,  # takes no signals from the terminal: `stop_nodes` passes them on
                     preexec_fn=block_signals,  # noqa: PLW1509 - one system call, no lock
                     env={**os.environ, **get_parent_environment(), **get_python_path()},
                 )
@@ -132,7 +134,7 @@ class Bringup:
             log.close()
         self._running.append(_NodeProcess(name, process))
 
-    def process(self, name: str) -> subprocess.Popen[bytes] | ForkedNode:
+    def get_process(self, name: str) -> subprocess.Popen[bytes] | ForkedNode:
         """Return the process of a running node."""
         return next(node.process for node in reversed(self._running) if node.name == name)
 
@@ -144,7 +146,7 @@ class Bringup:
                 return node.name, code
         return None
 
-    def stop(self) -> dict[str, int]:
+    def stop_nodes(self) -> dict[str, int]:
         """End every node as Ctrl-C does, by force if it does not react; return the exit codes."""
         for patience, how in (
             (STOP_PATIENCE, signal.SIGINT),

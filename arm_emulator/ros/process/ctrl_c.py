@@ -30,12 +30,12 @@ def end_at_once(code: int | None) -> None:
         code: the exit code; None: 128 + the signal's number.
     """
 
-    def end(number: int, frame: FrameType | None) -> None:
+    def end_process(number: int, frame: FrameType | None) -> None:
         os._exit(get_exit_code(number, code))
 
     for number in list_end_signals():
         # Also where Ctrl-C is ignored, as it is in a job that a script has started with `&`.
-        signal.signal(number, end)
+        signal.signal(number, end_process)
     # A launcher may have kept signals back until here, see `Bringup`.
     signal.pthread_sigmask(signal.SIG_UNBLOCK, list_end_signals())
 

@@ -40,7 +40,7 @@ class ForkedNode:
     def poll(self) -> int | None:
         """Return the exit code, None while it runs."""
         if self._code is None and select.select([self._connection], [], [], 0.0)[0]:
-            self._end()
+            self._end_node()
         return self._code
 
     def wait(self, timeout: float | None = None) -> int:
@@ -52,7 +52,7 @@ class ForkedNode:
         if self._code is None:
             if not select.select([self._connection], [], [], timeout)[0]:
                 raise subprocess.TimeoutExpired(f"process {self.pid}", timeout or 0.0)
-            self._end()
+            self._end_node()
         assert self._code is not None
         return self._code
 
@@ -61,7 +61,7 @@ class ForkedNode:
         if self.poll() is None:
             os.kill(self.pid, number)
 
-    def _end(self) -> None:
+    def _end_node(self) -> None:
         self._code = self._receive_number()
         self._connection.close()
 
@@ -95,7 +95,7 @@ class Forks:
         """Whether the process runs."""
         return self._process.poll() is None
 
-    def start(
+    def fork_node(
         self,
         module: str,
         words: Sequence[str],
@@ -144,7 +144,7 @@ def get_python_path() -> dict[str, str]:
     return {"PYTHONPATH": os.pathsep.join([*folders, str(Path(__file__).resolve().parents[3])])}
 
 
-def _serve(control: socket.socket) -> dict[str, Any]:
+def _serve_requests(control: socket.socket) -> dict[str, Any]:
     """Fork a node for each request; return the request in the node's process.
 
     The process ends with the one that asks, and its nodes with it, see `end_with_parent`.
@@ -159,7 +159,7 @@ def _serve(control: socket.socket) -> dict[str, Any]:
             process, waits = running.pop(descriptor)
             os.close(descriptor)
             code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
-            _send(waits, code)
+            _send_exit_code(waits, code)
             waits.close()
         if asks not in ready:
             continue
@@ -178,10 +178,10 @@ def _serve(control: socket.socket) -> dict[str, Any]:
         for descriptor in descriptors[1:]:
             os.close(descriptor)
         running[os.pidfd_open(process)] = process, waits
-        _send(waits, process)
+        _send_exit_code(waits, process)
 
 
-def _send(waits: socket.socket, number: int) -> None:
+def _send_exit_code(waits: socket.socket, number: int) -> None:
     try:
         waits.sendall(number.to_bytes(NUMBER, "little", signed=True))
     except OSError:  # its client has ended
@@ -207,7 +207,7 @@ def main() -> None:
     control = socket.socket(fileno=int(sys.argv[1]))
     nodes = {name: importlib.import_module(name) for name in sys.argv[2:]}
     gc.freeze()
-    request = _serve(control)
+    request = _serve_requests(control)
     end_at_once(0)
     nodes[request["module"]].main()
 

@@ -60,7 +60,7 @@ class Bag:
         self.complete = True
         self._facts: dict[str, str] = {}  # as the files have them, from their begin on
         self._files = list_bag_files(path)
-        self.spans = [self._scan(file) for file in self._files]
+        self.spans = [self._scan_file(file) for file in self._files]
 
     @property
     def about(self) -> dict[str, str]:
@@ -72,22 +72,22 @@ class Bag:
         stated = {str(k): str(v) for k, v in facts.items()} if isinstance(facts, dict) else {}
         return self._facts | stated
 
-    def _scan(self, file: Path) -> Span:
+    def _scan_file(self, file: Path) -> Span:
         begin, end, count = 2**63 - 1, 0, 0
-        for message in self.messages(files=[file]):
+        for message in self.read_messages(files=[file]):
             self.topics[message.topic].count += 1
             begin, end = min(begin, message.received), max(end, message.received)
             count += 1
         return Span(file.name, begin, end, count)
 
-    def messages(
+    def read_messages(
         self, topics: Collection[str] | None = None, files: Collection[Path] | None = None
     ) -> Iterator[BagMessage]:
         """Yield the messages of some topics, or of all, in the order of reception."""
         for file in self._files if files is None else files:
             try:
                 with open_file(file) as stream:
-                    yield from self._read(stream, topics)
+                    yield from self._read_file(stream, topics)
             except CutOff:
                 self.complete = False
             except DamagedRecords as error:
@@ -102,14 +102,14 @@ class Bag:
             topics: their names.
         """
         heap: list[tuple[int, int, BagMessage]] = []
-        for number, message in enumerate(self.messages(topics)):
+        for number, message in enumerate(self.read_messages(topics)):
             heapq.heappush(heap, (message.published or message.received, number, message))
             if len(heap) > WINDOW:
                 yield heapq.heappop(heap)[2]
         while heap:
             yield heapq.heappop(heap)[2]
 
-    def _read(self, stream: IO[bytes], topics: Collection[str] | None) -> Iterator[BagMessage]:
+    def _read_file(self, stream: IO[bytes], topics: Collection[str] | None) -> Iterator[BagMessage]:
         schemas: dict[int, Schema] = {}
         names: dict[int, str] = {}
         for record, _ in read_records(stream):

@@ -74,7 +74,7 @@ def build_metadata(
     begin = min((span.begin for span in filled), default=0)
     end = max((span.end for span in filled), default=0)
 
-    def summary(begin: int, end: int, count: int) -> dict[str, Any]:
+    def summarise_files(begin: int, end: int, count: int) -> dict[str, Any]:
         return {
             "duration": {"nanoseconds": end - begin if count else 0},
             "starting_time": {"nanoseconds_since_epoch": begin if count else 0},
@@ -84,7 +84,7 @@ def build_metadata(
     return {
         "version": METADATA_VERSION,
         "storage_identifier": "mcap",
-        **summary(begin, end, sum(span.messages for span in spans)),
+        **summarise_files(begin, end, sum(span.messages for span in spans)),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
@@ -101,7 +101,7 @@ def build_metadata(
         "compression_format": "",
         "compression_mode": "",
         "relative_file_paths": [span.file for span in spans],
-        "files": [{"path": s.file, **summary(s.begin, s.end, s.messages)} for s in spans],
+        "files": [{"path": s.file, **summarise_files(s.begin, s.end, s.messages)} for s in spans],
         "custom_data": dict(about) if about else None,
         "ros_distro": "jazzy",
     }
@@ -110,7 +110,7 @@ def build_metadata(
 def write_qos(profile: QoSProfile) -> dict[str, Any]:
     """Return a profile as version 9 writes it."""
 
-    def seconds(duration: Duration) -> dict[str, int]:
+    def split_seconds(duration: Duration) -> dict[str, int]:
         sec, nsec = divmod(duration.nanoseconds, NANOSECONDS)
         return {"sec": sec, "nsec": nsec}
 
@@ -119,10 +119,10 @@ def write_qos(profile: QoSProfile) -> dict[str, Any]:
         "depth": profile.depth,
         "reliability": profile.reliability.name.lower(),
         "durability": profile.durability.name.lower(),
-        "deadline": seconds(profile.deadline),
-        "lifespan": seconds(profile.lifespan),
+        "deadline": split_seconds(profile.deadline),
+        "lifespan": split_seconds(profile.lifespan),
         "liveliness": profile.liveliness.name.lower(),
-        "liveliness_lease_duration": seconds(profile.liveliness_lease_duration),
+        "liveliness_lease_duration": split_seconds(profile.liveliness_lease_duration),
         "avoid_ros_namespace_conventions": profile.avoid_ros_namespace_conventions,
     }
 

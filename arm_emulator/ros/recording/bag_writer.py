@@ -123,7 +123,7 @@ class BagWriter:
             self._keep_room()
         return number
 
-    def write(self, number: int, received: int, published: int, data: bytes) -> None:
+    def write_message(self, number: int, received: int, published: int, data: bytes) -> None:
         """Write a message of the topic with this number.
 
         Raises:
@@ -169,7 +169,7 @@ class BagWriter:
         except (OSError, MemoryError):
             with contextlib.suppress(OSError):  # closed anyway
                 self._stream.close()
-            self._repair()
+            self._repair_file()
             raise
 
     @contextlib.contextmanager
@@ -198,16 +198,16 @@ class BagWriter:
             with (self.folder / UNFINISHED).open("r+b") as stream:
                 stream.write(bytes(self._room))
 
-    def _repair(self) -> None:
+    def _repair_file(self) -> None:
         with contextlib.suppress(OSError, Refusal, MemoryError):
             try:
-                repair(self.folder)
+                repair_bag(self.folder)
             except OSError as error:
                 if error.errno not in NO_ROOM:
                     raise
                 # The reserve of the metadata, which are short by now.
                 os.truncate(self.folder / UNFINISHED, SHORT_METADATA)
-                repair(self.folder)
+                repair_bag(self.folder)
             self.is_complete = True
         repaired: dict[str, Topic] = {}
         with contextlib.suppress(OSError, Refusal, MemoryError):
@@ -218,7 +218,7 @@ class BagWriter:
             topic.count = repaired[topic.name].count if topic.name in repaired else 0
 
 
-def repair(path: Path) -> bool:
+def repair_bag(path: Path) -> bool:
     """Make a whole bag of one whose recorder was killed; return False if it is whole already.
 
     Raises:

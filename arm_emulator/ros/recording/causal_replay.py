@@ -25,7 +25,7 @@ from std_srvs.srv import Trigger
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.messages.message_types import get_message_class
 from arm_emulator.ros.messages.node_topics import NODES, STATUS, TYPES
-from arm_emulator.ros.messages.time_stamp import to_nanoseconds
+from arm_emulator.ros.messages.time_stamp import convert_to_nanoseconds
 from arm_emulator.ros.node.network_client import NetworkClient
 from arm_emulator.ros.node.node_shell import COMMAND_QOS, DESCRIPTION_QOS
 from arm_emulator.ros.recording.bag import Bag, BagMessage
@@ -81,7 +81,7 @@ class _Stamped:
         last = [*self._places][-2:]
         return last[1] - last[0] if len(last) == 2 else 0
 
-    def take(self, key: int) -> bytes | None:
+    def take_message(self, key: int) -> bytes | None:
         """Return the next message with a key, or None if none is near."""
         places = self._places.get(key, [])
         k = bisect.bisect_left(places, self._next)
@@ -113,7 +113,7 @@ class CausalReplay:
             raise Refusal(self._where, "the bag", "have one topic joint_targets", actual, valid)
         self._namespace = ends[0].removesuffix("joint_targets")
         for topic in filter(None, (self._topics.requests, self._topics.at_first)):
-            if self._count(topic) == 0:
+            if self._count_message(topic) == 0:
                 raise Refusal(self._where, "the bag", f"have messages on {topic}", "none")
         self._result = ReplayResult()
         self._run = -1
@@ -124,7 +124,7 @@ class CausalReplay:
         self._publishers: dict[str, Publisher] = {}
         self._orders = deque(self._place_orders())
 
-    def run(self, wait: bool, report: Callable[[str], None]) -> ReplayResult:
+    def play_bag(self, wait: bool, report: Callable[[str], None]) -> ReplayResult:
         """Play the bag.
 
         Args:
@@ -135,7 +135,7 @@ class CausalReplay:
             Refusal: no such node is in the network, or another node publishes what is replayed.
         """
         topics, result = self._topics, self._result
-        self._connect(wait, report)
+        self._connect_topics(wait, report)
         begin = next(self._read_recorded(topics.requests)).published
         recorded = self._index_by_stamp(topics.answered, attrgetter("key"), begin)
         granted = self._index_by_stamp(topics.granted, attrgetter("stamp"), begin)
@@ -150,8 +150,8 @@ class CausalReplay:
                 self._begin_run()
                 end = math.inf
             before = key
-            expected = recorded.take(key)
-            if topics.beside and (data := beside.take(stamp)) is not None:
+            expected = recorded.take_message(key)
+            if topics.beside and (data := beside.take_message(stamp)) is not None:
                 self._publishers[topics.beside].publish(data)
             # No motion period begins here, or the recorder ended before the answer.
             if expected is None and (recorded.is_over if topics.granted else True):
@@ -161,7 +161,7 @@ class CausalReplay:
                 continue
             result.requested += 1
             if len(result.missing) < MISSING_LIMIT:
-                grant = granted.take(stamp)
+                grant = granted.take_message(stamp)
                 # The recorder may end before the last message for which the node waits.
                 ends = grant is None and granted.is_over
                 answer = self._ask_node(request, grant, ends)
@@ -169,7 +169,7 @@ class CausalReplay:
                     end = stamp
                     result.requested -= 1
                 else:
-                    self._judge(request, answer, expected)
+                    self._compare_answer(request, answer, expected)
             self._give_orders(stamp, request.published)
         result.digest = self._digest.hexdigest()[:16]
         return result
@@ -179,7 +179,7 @@ class CausalReplay:
     def _get_full_name(self, topic: str) -> str:
         return self._namespace + topic
 
-    def _count(self, topic: str) -> int:
+    def _count_message(self, topic: str) -> int:
         topic_info = self._bag.topics.get(self._get_full_name(topic))
         return 0 if topic_info is None else topic_info.count
 
@@ -241,15 +241,17 @@ class CausalReplay:
         orders = []
         for kind, topic in self._topics.orders.items():
             places = taken[kind]
-            if len(places) > self._count(topic):
+            if len(places) > self._count_message(topic):
                 rule = f"have the {len(places)} orders that motion/status reports"
-                actual = f"{self._count(topic)}, the others were goals of an action or are lost"
+                actual = (
+                    f"{self._count_message(topic)}, the others were goals of an action or are lost"
+                )
                 raise Refusal(self._where, topic, rule, actual)
             for order in self._read_recorded(topic):
                 run, after, first = places.popleft() if places else (run_of(order), None, False)
                 orders.append(_Order(topic, order.data, order.published, run, after, first, kind))
         for topic in self._topics.jogs:
-            if self._count(topic):
+            if self._count_message(topic):
                 orders += [
                     _Order(topic, m.data, m.published, run_of(m), None, False, 0)
                     for m in self._read_recorded(topic)
@@ -258,20 +260,22 @@ class CausalReplay:
 
     # Network
 
-    def _connect(self, wait: bool, report: Callable[[str], None]) -> None:
+    def _connect_topics(self, wait: bool, report: Callable[[str], None]) -> None:
         node, topics = self._node, self._topics
         for topic in topics.inputs:
-            if self._count(topic):
+            if self._count_message(topic):
                 qos = DESCRIPTION_QOS if topic == topics.at_first else COMMAND_QOS
                 kind = get_message_class(TYPES[topic])
                 self._publishers[topic] = node.create_publisher(
                     kind, self._get_full_name(topic), qos
                 )
-        self._subscribe(topics.answered, self._received.append)
+        self._subscribe_to(topics.answered, self._received.append)
         if topics.prompt:
-            self._subscribe(topics.prompt, lambda message: self._prompts.add(_get_stamp(message)))
+            self._subscribe_to(
+                topics.prompt, lambda message: self._prompts.add(_get_stamp(message))
+            )
         if topics.orders:
-            self._subscribe(STATUS, self._statuses.append)
+            self._subscribe_to(STATUS, self._statuses.append)
         needed = [self._publishers[topic] for topic in (topics.requests, topics.granted) if topic]
         answered = self._get_full_name(topics.answered)
 
@@ -304,7 +308,7 @@ class CausalReplay:
                 rule = "be published by the replay alone"
                 raise Refusal("replay", topic, rule, f"{others} more publishers")
 
-    def _subscribe(self, topic: str, take: Callable[[Any], Any]) -> None:
+    def _subscribe_to(self, topic: str, take: Callable[[Any], Any]) -> None:
         kind = get_message_class(TYPES[topic])
         self._node.create_subscription(kind, self._get_full_name(topic), take, HEARD_QOS)
 
@@ -312,7 +316,7 @@ class CausalReplay:
         """Let the node start over, and give it what it needs first."""
         reset = self._node.create_client(Trigger, self._get_full_name(f"{self._name}/reset"))
         if self._node.spin_until(reset.service_is_ready, RESEND):
-            self._node.ask(reset, Trigger.Request(), PATIENCE)
+            self._node.call_service(reset, Trigger.Request(), PATIENCE)
         self._node.destroy_client(reset)
         self._prompts.clear()
         if self._topics.at_first:
@@ -357,7 +361,7 @@ class CausalReplay:
             granted_once, again = False, True
         return None
 
-    def _judge(self, request: _Message, answer: Any, expected: bytes | None) -> None:
+    def _compare_answer(self, request: _Message, answer: Any, expected: bytes | None) -> None:
         result, where = self._result, f"t = {request.stamp * 1e-9:g} s"
         if answer is None:
             self._refuse_other_publishers()
@@ -440,7 +444,7 @@ _JOINT_NUMBERS = ("position", "velocity", "effort")
 
 
 def _get_stamp(message: Any) -> int:
-    return to_nanoseconds(message.header.stamp)
+    return convert_to_nanoseconds(message.header.stamp)
 
 
 def _get_key(message: Any) -> int:

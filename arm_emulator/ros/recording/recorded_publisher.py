@@ -42,6 +42,6 @@ def _has_own_record(node: NetworkClient) -> bool:
     if not node.spin_until(lambda: node.count_publishers("emulator/status") > 0, PATIENCE):
         return False
     client = node.create_client(GetParameters, "emulator/get_parameters")
-    answer = node.ask(client, GetParameters.Request(names=["record"]), PATIENCE)
+    answer = node.call_service(client, GetParameters.Request(names=["record"]), PATIENCE)
     node.destroy_client(client)
     return answer is not None and any(value.string_value for value in answer.values)

@@ -25,7 +25,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.messages.message_types import get_message_class, read_definition
 from arm_emulator.ros.messages.middleware import get_middleware
 from arm_emulator.ros.node.lean_executor import LeanExecutor
-from arm_emulator.ros.node.sole_publisher import OwnExecutorOnly, receive, split_received
+from arm_emulator.ros.node.sole_publisher import OwnExecutorOnly, receive_message, split_received
 from arm_emulator.ros.recording.bag_metadata import Topic
 from arm_emulator.ros.recording.bag_writer import BagWriter
 from arm_emulator.ros.recording.recorder_presence import NAME, STATES, RecorderPresence
@@ -59,7 +59,7 @@ class Recorded:
     refused: Refusal | None
 
 
-def record(
+def record_topics(
     out: Path,
     topics: Collection[str] | None,
     from_start: bool,
@@ -92,13 +92,13 @@ def record(
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             node = _Recorder(bag, topics, presence.recorder, from_start, reported)
             with contextlib.suppress(_Ended):
-                LeanExecutor(node, take=node.take).spin()
+                LeanExecutor(node, take=node.take_message).spin()
             node.take_the_rest()
     except (OSError, MemoryError) as error:
         failure = error
     finally:
         if node is not None:
-            node.leave()
+            node.report_end()
     written = tuple(topic.name for topic in bag.topics if topic.count)
     count = sum(topic.count for topic in bag.topics)
     lost = "" if node is None else node.lost
@@ -142,7 +142,7 @@ class _Recorder(Node):
         self._reported_lost = ""
         self.create_timer(LOOK_PERIOD, self._find_topics)
         self.create_timer(FLUSH_PERIOD, bag.flush)
-        self.create_timer(REPORT_PERIOD, self._report)
+        self.create_timer(REPORT_PERIOD, self._report_ticks)
         self._find_topics()
 
     @property
@@ -157,32 +157,32 @@ class _Recorder(Node):
     def _forget_losses(self) -> None:
         """Count losses from the run on that was asked for: a machine does not wait before it."""
         for numbered in self._numbered.values():
-            numbered.forget()
+            numbered.restart_count()
 
     def take_the_rest(self) -> None:
         """Write the messages that have arrived: of one topic they may be older than of another."""
         for subscription in [*self.subscriptions]:
             for _ in range(DEPTH):
-                if not self.take(subscription):
+                if not self.take_message(subscription):
                     break
 
-    def take(self, subscription: Any, _: object = None) -> bool:
+    def take_message(self, subscription: Any, _: object = None) -> bool:
         """Write the oldest message of a subscription; return whether there was one."""
-        message = receive(subscription)
+        message = receive_message(subscription)
         if message is not None:
             self._writers[subscription](message)
         return message is not None
 
-    def leave(self) -> None:
+    def report_end(self) -> None:
         """Report to the emulators that they need not wait for this recorder any more."""
         for run in self._runs:
-            run.leave()
+            run.report_end()
 
-    def _report(self) -> None:
+    def _report_ticks(self) -> None:
         if self._end_requested.is_set():
             raise _Ended
         for run in self._runs:
-            run.report()
+            run.report_ticks()
         if self.lost != self._reported_lost:
             self._reported_lost = self.lost
             print(f"lost so far: {self.lost}", flush=True)
@@ -224,7 +224,7 @@ class _Recorder(Node):
                 self, name, numbered, self._name, self._from_start, self._forget_losses
             )
             self._runs.append(run)
-            follow = run.take
+            follow = run.follow_state
         events = SubscriptionEventCallbacks(message_lost=numbered.take_lost_event)
         group = OwnExecutorOnly()  # rclpy drops the publisher of a message
         subscription = self.create_subscription(
@@ -237,14 +237,14 @@ class _Recorder(Node):
     def _make_writer(
         self, topic: int, numbered: Numbered, follow: Callable[[bytes], None] | None
     ) -> Callable[[CData], None]:
-        def on_message(message: CData) -> None:
+        def write_message(message: CData) -> None:
             data, publisher = split_received(message)
-            self._bag.write(topic, time.time_ns(), message.sent, data)
-            numbered.take(publisher, message.number)
+            self._bag.write_message(topic, time.time_ns(), message.sent, data)
+            numbered.count_message(publisher, message.number)
             if follow is not None:
                 follow(data)
 
-        return on_message
+        return write_message
 
 
 def choose_qos(offered: Collection[QoSProfile]) -> QoSProfile:
@@ -282,7 +282,7 @@ class Numbered:
         """Missing messages between received ones."""
         return max(self._gaps - self._forgotten[0], self._reported - self._forgotten[1])
 
-    def forget(self) -> None:
+    def restart_count(self) -> None:
         """Count what is lost from now on; the middleware may report later what gaps have shown."""
         self._forgotten = self._gaps, max(self._gaps, self._reported)
 
@@ -290,7 +290,7 @@ class Numbered:
         """Count messages that the middleware reports as lost."""
         self._reported = int(event.total_count)
 
-    def take(self, publisher: bytes, number: int) -> None:
+    def count_message(self, publisher: bytes, number: int) -> None:
         """Count a message of a publisher; number -1: the middleware gives none."""
         if number >= 0:
             self._gaps += max(0, number - self._last.get(publisher, number) - 1)
@@ -336,7 +336,7 @@ class RecordedRuns:
         self._unreported = 0
         self._greeted = False
 
-    def take(self, data: bytes) -> None:
+    def follow_state(self, data: bytes) -> None:
         """Follow a written motor state."""
         tick, before = int(deserialize_message(data, MotorState).tick), self._tick
         self._tick = tick
@@ -351,9 +351,9 @@ class RecordedRuns:
             self._begun()
         self._unreported += 1
         if tick == 0 or self._unreported >= REPORT_EVERY:
-            self.report()
+            self.report_ticks()
 
-    def report(self) -> None:
+    def report_ticks(self) -> None:
         """Report to the emulator the written ticks, and thereby the recorder's presence."""
         written = self._numbered.newest
         if self._reset is not None and self._tick > 0:
@@ -365,7 +365,7 @@ class RecordedRuns:
         self._message.written = written
         self._reports.publish(self._message)
 
-    def leave(self) -> None:
+    def report_end(self) -> None:
         """Report to the emulator that it need not wait any longer."""
         self._message.leaving = True
         self._reports.publish(self._message)

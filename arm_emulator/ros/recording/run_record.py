@@ -30,7 +30,7 @@ class RunRecord:
     Args:
         folder: the new bag.
         topics: the topics written.
-        waits: whether `put` waits for room, as in lock-step, or drops and counts.
+        waits: whether `add_message` waits for room, as in lock-step, or drops and counts.
 
     Attributes:
         dropped: messages that did not fit into the queue.
@@ -54,9 +54,9 @@ class RunRecord:
         # Appending and popping are safe between threads.
         self._waiting: deque[tuple[int, int, bytes]] = deque()
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._write, name="run record", daemon=True)
+        self._thread = threading.Thread(target=self._write_queue, name="run record", daemon=True)
         self._thread.start()
-        atexit.register(self._finish)  # in case `close` is not called
+        atexit.register(self._finish_bag)  # in case `close` is not called
 
     @property
     def trouble(self) -> str:
@@ -72,7 +72,7 @@ class RunRecord:
             words.append(f"{self.missing} ticks came too fast to be recorded")
         return "; ".join(words)
 
-    def put(self, topic: str, data: bytes, at: int | None = None) -> None:
+    def add_message(self, topic: str, data: bytes, at: int | None = None) -> None:
         """Queue a message; from now on only a failing disk can lose it.
 
         Args:
@@ -89,7 +89,7 @@ class RunRecord:
         self._newest = max(self._newest + 1, time.time_ns() if at is None else at)
         self._waiting.append((self._numbers[topic], self._newest, data))
 
-    def count(self, tick: int) -> None:
+    def count_tick(self, tick: int) -> None:
         """Count the state of a tick that is queued, or queued again."""
         if tick > self._tick + 1:
             self.missing += tick - self._tick - 1
@@ -102,8 +102,8 @@ class RunRecord:
         Raises:
             Refusal: the bag is incomplete.
         """
-        atexit.unregister(self._finish)
-        self._finish()
+        atexit.unregister(self._finish_bag)
+        self._finish_bag()
         messages = sum(topic.count for topic in self._bag.topics)
         states = "" if self._failure else f", {self._states} motor states"
         print(f"{self._folder}: {messages} messages{states}", flush=True)
@@ -111,7 +111,7 @@ class RunRecord:
             where = f"record {self._folder}"
             raise Refusal(where, "the bag", "contain all published messages", self.trouble)
 
-    def _finish(self) -> None:
+    def _finish_bag(self) -> None:
         self._stop.set()
         self._thread.join()
         try:
@@ -120,14 +120,14 @@ class RunRecord:
             self._failure = self._failure or error
         self._finished = True
 
-    def _write(self) -> None:
+    def _write_queue(self) -> None:
         flush_at = time.monotonic() + FLUSH_PERIOD
         while self._waiting or not self._stop.is_set():
             try:
                 waiting = len(self._waiting)
                 for _ in range(min(max(SMALL, int(PART * waiting)), waiting)):
                     number, now, data = self._waiting.popleft()
-                    self._bag.write(number, now, now, data)
+                    self._bag.write_message(number, now, now, data)
                 if time.monotonic() > flush_at:
                     self._bag.flush()
                     flush_at = time.monotonic() + FLUSH_PERIOD

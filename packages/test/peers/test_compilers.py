@@ -24,7 +24,7 @@ from arm_emulator.machine.plant.compiler import (
 from arm_emulator.machine.plant.formula_rows import build_formula_unit
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.machine.session.record_ring import build_record_ring_unit
-from arm_emulator.ros.c import middleware_unit
+from arm_emulator.ros.c import make_middleware_unit
 from arm_emulator.runs.servo_step import make_servo_step_unit
 from arm_emulator.servo.servo_law import make_servo_unit
 from arm_emulator.tick.c import tick_unit
@@ -37,9 +37,9 @@ from arm_emulator_fieldbus.ethercat import ethercat_unit
 from arm_emulator_fleet.unit import build_fleet_unit
 from arm_emulator_fmu.unit import make_unit
 from arm_emulator_fmu.variables import list_scalars, list_variables
-from emulator_node.c import answered_ticks_unit, real_time_ticks_unit
+from emulator_node.c import make_answered_ticks_unit, make_real_time_ticks_unit
 from oracles.mixtures import write_mixture
-from servo_node.c import answered_states_unit
+from servo_node.c import make_answered_states_unit
 
 KINDS = {"g++": range(11, 16), "clang++": range(14, 22)}
 
@@ -103,10 +103,10 @@ def units(folder: Path) -> Iterator[Unit]:
     yield from (build_record_ring_unit(), build_formula_unit(), judges_unit(), sampler_unit())
     yield from (drives_unit(), ethercat_unit())
     yield from (
-        middleware_unit(),
-        answered_ticks_unit(),
-        real_time_ticks_unit(),
-        answered_states_unit(),
+        make_middleware_unit(),
+        make_answered_ticks_unit(),
+        make_real_time_ticks_unit(),
+        make_answered_states_unit(),
     )
     if find_spec("unicorn"):
         from arm_emulator_firmware.microcontroller import runner_unit

@@ -162,7 +162,7 @@ def test_the_bag_repeats_all_that_is_done_on_the_page(
         page.locator(".uplot canvas").first.wait_for()
         page.screenshot(path=tmp_path / "live.png")
         page.context.close()
-        assert network.stop()["emulator"] == 0
+        assert network.stop_nodes()["emulator"] == 0
     assert check_bag(bag, scene=str(scene)) == 0
     assert "equal to the last bit" in capfd.readouterr().out
     kinds = [event.kind for event in events_of(bag)]
