@@ -8,7 +8,7 @@ from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal
 from bench.measure import choose_compiler
-from bench.report import bench
+from bench.report import run_benches
 
 
 def main() -> int:
@@ -27,7 +27,7 @@ def main() -> int:
     arguments = parser.parse_args()
     try:
         choose_compiler()
-        return bench(arguments.quick, arguments.only, arguments.out, arguments.publish)
+        return run_benches(arguments.quick, arguments.only, arguments.out, arguments.publish)
     except Refusal as refusal:
         print(refusal, file=sys.stderr)
         return 2

@@ -18,7 +18,7 @@ import numpy as np
 
 from bench.measure import map_on_all_cores
 from bench.tables import format_table
-from oracles.any_arm import DISTANCES_NAMED, ArmOutcome, ToolMove, examine, list_arms
+from oracles.any_arm import DISTANCES_NAMED, ArmOutcome, ToolMove, examine_arm, list_arms
 
 MOVES = 30  # of each distance
 PARTS = (50.0, 90.0, 99.0, 99.5, 100.0)  # % of all moves
@@ -45,7 +45,7 @@ def main() -> None:
     outcomes = examine_all(choose_robots(arguments.robots), arguments.moves)
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     arguments.out.write_text(json.dumps([asdict(outcome) for outcome in outcomes], indent=1))
-    print(report(outcomes))
+    print(write_report(outcomes))
     print(list_failures(outcomes))
     print(f"\nall moves are in {arguments.out}")
     moves = [move for outcome in outcomes for move in outcome.moves]
@@ -71,20 +71,20 @@ def choose_robots(robots: Sequence[str]) -> dict[str, Path | str]:
 def examine_all(robots: dict[str, Path | str], moves: int) -> list[ArmOutcome]:
     """Return the outcome of every arm."""
     return map_on_all_cores(
-        "arms", _examine, [(name, robots[name], moves) for name in sorted(robots)]
+        "arms", _examine_arm, [(name, robots[name], moves) for name in sorted(robots)]
     )
 
 
-def _examine(which: tuple[str, Path | str, int]) -> ArmOutcome:
-    return examine(*which)
+def _examine_arm(which: tuple[str, Path | str, int]) -> ArmOutcome:
+    return examine_arm(*which)
 
 
-def run(quick: bool) -> list[ArmOutcome]:
+def run_bench(quick: bool) -> list[ArmOutcome]:
     """Examine all arms that are there."""
     return examine_all(list_arms(), 5 if quick else MOVES)
 
 
-def report(outcomes: list[ArmOutcome]) -> str:
+def write_report(outcomes: list[ArmOutcome]) -> str:
     """Return a row per arm, and parts of all moves, as Markdown."""
     moves = [move for outcome in outcomes for move in outcome.moves]
     if not moves:
@@ -136,7 +136,7 @@ def _list_cells(outcome: ArmOutcome) -> list[str]:
         outcome.name.removeprefix("own: "),
         str(outcome.joints),
         *(
-            f"{sum(not m.words for m in outcome.of(key))}/{len(outcome.of(key))}"
+            f"{sum(not m.words for m in outcome.select_moves(key))}/{len(outcome.select_moves(key))}"
             for key in DISTANCES_NAMED
         ),
         f"{np.median(times):.2f}",

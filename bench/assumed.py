@@ -42,14 +42,14 @@ class AssumedFigure:
     names: tuple[tuple[str, float], ...]  # numbers that change, and with which power of the figure
     nominal: Values
 
-    def at(self, value: float) -> Values:
+    def scale_numbers(self, value: float) -> Values:
         """Return the numbers of the joints where the figure is `value`."""
         if self.value == 0.0:
             return {name: value for name, _ in self.names}
         factor = value / self.value
         return {name: self.nominal[name] * factor**power for name, power in self.names}
 
-    def draw(self, rng: np.random.Generator) -> float:
+    def draw_value(self, rng: np.random.Generator) -> float:
         """Return a value from the range: of 2 and 8, 4 is in the middle."""
         if self.low <= 0.0:
             return float(rng.uniform(self.low, self.high))
@@ -64,9 +64,9 @@ def list_assumed(file: Path) -> list[AssumedFigure]:
     times as large, and their rotors (r0/r)^2 times as heavy and as viscous.
     """
     origin_list = [origin for origin in list_origins(file) if origin.assumed is not None]
-    nominal = {name: origin.value for origin in origin_list for name in origin.names()}
+    nominal = {name: origin.value for origin in origin_list for name in origin.list_names()}
 
-    def of(origin: NumberOrigin) -> AssumedFigure:
+    def make_figure(origin: NumberOrigin) -> AssumedFigure:
         key = f"{origin.section}.{origin.key}"
         powers = {
             "motor.torque_constant": {"torque_constant": 1.0, "back_emf_constant": 1.0},
@@ -74,7 +74,7 @@ def list_assumed(file: Path) -> list[AssumedFigure]:
                            "rotor_inertia": -2.0, "friction.coulomb": -1.0,
                            "friction.viscous": -2.0},
         }.get(key)  # fmt: skip
-        names = [(name, 1.0) for name in origin.names()]
+        names = [(name, 1.0) for name in origin.list_names()]
         if powers:
             names = [(name, power) for joint in origin.joints for of_motor, power in powers.items()
                      if (name := f"joints.{joint}.motor.{of_motor}") in nominal]  # fmt: skip
@@ -83,7 +83,7 @@ def list_assumed(file: Path) -> list[AssumedFigure]:
             key, origin.joints, origin.value, *origin.assumed, tuple(names), nominal
         )
 
-    return [of(origin) for origin in origin_list if origin.key != "back_emf_constant"]
+    return [make_figure(origin) for origin in origin_list if origin.key != "back_emf_constant"]
 
 
 def simulate_demos(scene_name: str, arms: list[Values], instructions: int | None = None) -> Array:
@@ -148,17 +148,17 @@ def measure_outcome(deviations: Array, nominal: Array) -> ResidualOutcome:
     )
 
 
-def measure(scene_name: str, quick: bool = False) -> dict[str, Any]:
+def measure_scene(scene_name: str, quick: bool = False) -> dict[str, Any]:
     """Make the demo over the ranges of a scene."""
     assumed = list_assumed(find_scene(scene_name))
     rng = np.random.default_rng(1)
     arms: list[Values] = [{}]
     for figure in assumed:
-        arms += [figure.at(figure.low), figure.at(figure.high)]
+        arms += [figure.scale_numbers(figure.low), figure.scale_numbers(figure.high)]
     for _ in range(2 if quick else SAMPLED_ARMS):
         arm: Values = dict(assumed[0].nominal)
         for figure in assumed:
-            factors, sample = figure.nominal, figure.at(figure.draw(rng))
+            factors, sample = figure.nominal, figure.scale_numbers(figure.draw_value(rng))
             # A ratio changes what was drawn of the motor before.
             arm |= {name: arm[name] * value / factors[name] if factors[name] else value
                     for name, value in sample.items()}  # fmt: skip
@@ -177,12 +177,12 @@ def measure(scene_name: str, quick: bool = False) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Measure all arms."""
-    return {name: measure(name, quick) for name in ARMS}
+    return {name: measure_scene(name, quick) for name in ARMS}
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the tables."""
     return "\n\n".join(make_table(name, of_arm) for name, of_arm in figures.items())
 
@@ -190,7 +190,7 @@ def report(figures: dict[str, Any]) -> str:
 def make_table(name: str, figures: dict[str, Any]) -> str:
     """Return the table of one arm, in Markdown."""
 
-    def cell(deviation: dict[str, Any]) -> str:
+    def write_cell(deviation: dict[str, Any]) -> str:
         settled = "never" if deviation["settled"] is None else deviation["settled"]
         if not np.isfinite(deviation["residual"]):
             return "diverged"
@@ -201,10 +201,10 @@ def make_table(name: str, figures: dict[str, Any]) -> str:
         low, high = row["range"]
         figure, joints = f"`{row['figure']}`", f"{row['joints'][0]} to {row['joints'][-1]}"
         range_texts = f"{row['value']:.3g}", f"{low:.3g} to {high:.3g}"
-        rows.append((figure, joints, *range_texts, *map(cell, row["ends"])))
+        rows.append((figure, joints, *range_texts, *map(write_cell, row["ends"])))
     heads = "figure", "joints", "scene", "range", "at its low end", "at its high end"
     lines = [
-        f"{name}, as its scene has it: {cell(figures['nominal'])}.",
+        f"{name}, as its scene has it: {write_cell(figures['nominal'])}.",
         "",
         format_table(heads, rows),
     ]

@@ -103,7 +103,7 @@ def _load_both(name: str) -> Iterator[dict[str, Any]]:
     return (runpy.run_path(str(EXAMPLES / f"{name}{suffix}.py")) for suffix in ("", "_mujoco"))
 
 
-def _time_work(work: Callable[[], Array]) -> Run:
+def _measure_work(work: Callable[[], Array]) -> Run:
     begin = time.perf_counter()
     q = work()
     return q, time.perf_counter() - begin
@@ -112,60 +112,62 @@ def _time_work(work: Callable[[], Array]) -> Run:
 def _make_computed_torque() -> PeerProgram:
     ours, theirs = _load_both("computed_torque")
 
-    def own(dt: float | None, few: bool) -> Run:
+    def run_own(dt: float | None, few: bool) -> Run:
         scene = _load_scene(ours["MACHINE"], dt)
-        return _time_work(lambda: ours["follow"](scene)[1])
+        return _measure_work(lambda: ours["follow"](scene)[1])
 
-    def peer(integrator: str, dt: float, few: bool) -> Run:
+    def run_peer(integrator: str, dt: float, few: bool) -> Run:
         model = _load_model("three_axis_torque", integrator, dt)
-        return _time_work(lambda: theirs["follow"](model)[1])
+        return _measure_work(lambda: theirs["follow"](model)[1])
 
-    return PeerProgram("computed_torque", "computed torque, 2 s", own, peer)
+    return PeerProgram("computed_torque", "computed torque, 2 s", run_own, run_peer)
 
 
-def _sweep() -> PeerProgram:
+def _make_sweep() -> PeerProgram:
     ours, theirs = _load_both("sweep")
 
-    def arms(few: bool) -> list[Array]:
+    def select_arms(few: bool) -> list[Array]:
         return [values[:FEW] if few else values for values in ours["drawn"](200)]
 
-    def own(dt: float | None, few: bool) -> Run:
+    def run_own(dt: float | None, few: bool) -> Run:
         scene = _load_scene(ours["MACHINE"], dt)
-        return _time_work(lambda: ours["sweep"](scene, *arms(few)))
+        return _measure_work(lambda: ours["sweep"](scene, *select_arms(few)))
 
-    def peer(integrator: str, dt: float, few: bool) -> Run:
+    def run_peer(integrator: str, dt: float, few: bool) -> Run:
         model = _load_model("three_axis", integrator, dt)
-        return _time_work(lambda: theirs["sweep"](model, *arms(few)))
+        return _measure_work(lambda: theirs["sweep"](model, *select_arms(few)))
 
-    return PeerProgram("sweep", "sweep of 200 arms, 1 s each", own, peer)
+    return PeerProgram("sweep", "sweep of 200 arms, 1 s each", run_own, run_peer)
 
 
 def _make_environment() -> PeerProgram:
     ours, theirs = _load_both("vector_env")
 
-    def drive(env: Any, q: Callable[[], Array]) -> Run:
+    def drive_environment(env: Any, q: Callable[[], Array]) -> Run:
         env.reset(seed=1)
         rng = np.random.default_rng(2)
         zoh = rng.uniform(-0.3, 0.3, (TICKS // 50, 64, 3)).astype(np.float32)[:, : env.num_envs]
         tool_path = np.empty((TICKS, env.num_envs, 3))
 
-        def work() -> Array:
+        def drive_arms() -> Array:
             for tick in range(TICKS):
                 env.step(zoh[tick // 50])
                 tool_path[tick] = q()
             return tool_path
 
-        return _time_work(work)
+        return _measure_work(drive_arms)
 
-    def own(dt: float | None, few: bool) -> Run:
+    def run_own(dt: float | None, few: bool) -> Run:
         env = ours["ReachEnv"](_load_scene({}, dt), FEW if few else 64)
-        return drive(env, lambda: env.fleet.state.q)
+        return drive_environment(env, lambda: env.fleet.state.q)
 
-    def peer(integrator: str, dt: float, few: bool) -> Run:
+    def run_peer(integrator: str, dt: float, few: bool) -> Run:
         env = theirs["ReachEnv"](_load_model("three_axis", integrator, dt), FEW if few else 64)
-        return drive(env, lambda: env.state[:, 4:7])
+        return drive_environment(env, lambda: env.state[:, 4:7])
 
-    return PeerProgram("vector_env", f"64 arms in gymnasium's API, {TICKS} steps", own, peer)
+    return PeerProgram(
+        "vector_env", f"64 arms in gymnasium's API, {TICKS} steps", run_own, run_peer
+    )
 
 
 def _make_observer(folder: Path) -> PeerProgram:
@@ -177,14 +179,14 @@ def _make_observer(folder: Path) -> PeerProgram:
     wheel = Path(mujoco.__file__).parent
     (shared,) = wheel.glob("libmujoco.so*")
     header = ROOT / "arm_emulator/core/boundary"
-    _compile(f"-fPIC -shared -I{header} {source} -o {library}")
+    _compile_program(f"-fPIC -shared -I{header} {source} -o {library}")
     main = source.with_stem("my_observer_mujoco")
-    _compile(f"-I{wheel / 'include'} {main} {shared} -Wl,-rpath,{wheel} -lm -o {twin}")
+    _compile_program(f"-I{wheel / 'include'} {main} {shared} -Wl,-rpath,{wheel} -lm -o {twin}")
 
-    def own(dt: float | None, few: bool) -> Run:
+    def run_own(dt: float | None, few: bool) -> Run:
         table_run, _ = load_table_run(_write_scene(folder, dt), table, library)
 
-        def work() -> Array:
+        def run_table() -> Array:
             q = []
             for end in TIMES if few else TIMES[-1:]:
                 table_run.advance(
@@ -194,9 +196,9 @@ def _make_observer(folder: Path) -> PeerProgram:
             return np.array(q)
 
         with contextlib.closing(table_run):
-            return _time_work(work)
+            return _measure_work(run_table)
 
-    def peer(integrator: str, dt: float, few: bool) -> Run:
+    def run_peer(integrator: str, dt: float, few: bool) -> Run:
         model = folder / f"{integrator}.xml"
         text = (EXAMPLES / "three_axis_mujoco.xml").read_text(encoding="utf-8")
         model.write_text(re.sub(r'integrator="\w+"', f'integrator="{integrator}"', text))
@@ -208,7 +210,7 @@ def _make_observer(folder: Path) -> PeerProgram:
             q.append(last)
         return np.array(q, float), TIMES[-1] / float(factor)
 
-    return PeerProgram("my_observer", "servo with an observer in C, 3 s", own, peer)
+    return PeerProgram("my_observer", "servo with an observer in C, 3 s", run_own, run_peer)
 
 
 def _write_scene(folder: Path, dt: float | None) -> str:
@@ -222,7 +224,7 @@ def _write_scene(folder: Path, dt: float | None) -> str:
     return str(file)
 
 
-def _compile(words: str) -> None:
+def _compile_program(words: str) -> None:
     command = ["cc", "-std=gnu99", "-O2", *shlex.split(words)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
@@ -239,7 +241,7 @@ class StepChoice:
     seconds: float
 
 
-def _choose(program: PeerProgram, solution: Array) -> StepChoice:
+def _choose_step(program: PeerProgram, solution: Array) -> StepChoice:
     """Return the quickest way of MuJoCo to `TARGET`; the most exact one if none gets there."""
     from bench.mujoco_peer import INTEGRATORS
 
@@ -255,14 +257,14 @@ def _choose(program: PeerProgram, solution: Array) -> StepChoice:
     return min(good or tried, key=lambda trial: trial.seconds if good else trial.error)
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Measure lines, errors and times of every program; all arms in turns, medians."""
     repetitions = 1 if quick else 5
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         programs = [
             _make_computed_torque(),
-            _sweep(),
+            _make_sweep(),
             _make_environment(),
             _make_observer(Path(folder)),
         ]
@@ -270,7 +272,7 @@ def run(quick: bool) -> dict[str, Any]:
             for program in programs:
                 solution, _ = program.ours(FINE, True)
                 own, _ = program.ours(None, True)
-                choice = _choose(program, solution)
+                choice = _choose_step(program, solution)
                 walls = [
                     (program.ours(None, False)[1],
                      program.theirs(choice.integrator, choice.dt, False)[1])
@@ -289,7 +291,7 @@ def run(quick: bool) -> dict[str, Any]:
     return {"rows": rows, "target": TARGET}
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the table."""
     rows = []
     for row in figures["rows"]:

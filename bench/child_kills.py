@@ -87,7 +87,7 @@ class KillCase:
                 for pid in children:
                     with contextlib.suppress(ProcessLookupError):
                         os.kill(pid, how)
-                self.wait = self._watch(run)
+                self.wait = self._watch_run(run)
                 begun = time.monotonic()
                 run.send_signal(signal.SIGINT)
             while run.stdout.read(65536):
@@ -102,7 +102,7 @@ class KillCase:
             os.kill(pid, signal.SIGKILL)
 
     @staticmethod
-    def _watch(run: subprocess.Popen[bytes]) -> float:
+    def _watch_run(run: subprocess.Popen[bytes]) -> float:
         """Return the longest time between two outputs of a run over the next 0.3 s."""
         assert run.stdout is not None
         begun = last = time.monotonic()

@@ -33,9 +33,9 @@ from oracles import alone, mixtures, random_machines
 Verdict = Any  # a dataclass; its `claims` state by name which hold
 
 EVALUATORS: dict[str, Callable[[int], Sequence[Verdict]]] = {
-    "random_machines": lambda seed: random_machines.judge(seed, LOCATING_SCHEMES),
-    "mixtures": lambda seed: [mixtures.judge(seed)],
-    "alone": lambda seed: [alone.judge(seed)],
+    "random_machines": lambda seed: random_machines.judge_machine(seed, LOCATING_SCHEMES),
+    "mixtures": lambda seed: [mixtures.judge_mixture(seed)],
+    "alone": lambda seed: [alone.judge_mixture(seed)],
     "advice": advice.judge_scene,
 }
 
@@ -54,7 +54,7 @@ def main(arguments: list[str] | None = None) -> int:
     verdicts, broken = list[Verdict](), list[str]()
     with (
         tempfile.TemporaryDirectory() as cache,  # of libraries that nobody needs again
-        ProcessPoolExecutor(args.jobs, initializer=_begin, initargs=(cache,)) as pool,
+        ProcessPoolExecutor(args.jobs, initializer=_begin_worker, initargs=(cache,)) as pool,
         show_progress(args.about, args.count) as done,
     ):
         seeds = range(args.first, args.first + args.count)
@@ -85,7 +85,7 @@ def _judge_seed(about: str, seed: int) -> Sequence[Verdict]:
     return EVALUATORS[about](seed)
 
 
-def _begin(cache: str) -> None:
+def _begin_worker(cache: str) -> None:
     os.environ[CACHE_VARIABLE] = cache
     # The lines of compilations are not shown; a refusal comes back as an exception. Ctrl-C ends the
     # process that has started this one.

@@ -34,7 +34,7 @@ LOCKSTEP_TICKS = 60_000
 FACTOR_ERROR, OLD_SHARE = 1e-3, 0.01
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Measure both clocks, and the offline run."""
     seconds = 10.0 if quick else SECONDS
     figures: dict[str, Any] = {"real_time": {}, "lockstep": {}, "offline": {}, "table": {}}
@@ -71,7 +71,7 @@ def _measure_in_process(clock: str, scene: str, seconds: float) -> dict[str, Any
     return figures
 
 
-def measure(clock_name: str, scene: str, seconds: float) -> dict[str, Any]:
+def measure_network(clock_name: str, scene: str, seconds: float) -> dict[str, Any]:
     """Run the three nodes and return the emulator's status at the end."""
     import rclpy
 
@@ -150,14 +150,14 @@ def _measure_table(scene_name: str) -> dict[str, float]:
     them [rad].
     """
     period = load_scene(scene_name).servo_period
-    off = float(np.abs(_track(scene_name) - _track(scene_name, period / 16)).max())
+    off = float(np.abs(_track_links(scene_name) - _track_links(scene_name, period / 16)).max())
     table_run = _load_table_run(scene_name)
     started = time.perf_counter()
     table_run.advance(round(TABLE_SECONDS / period))
     return {"factor": TABLE_SECONDS / (time.perf_counter() - started), "off": off}
 
 
-def _track(scene_name: str, step: float | None = None) -> Array:
+def _track_links(scene_name: str, step: float | None = None) -> Array:
     """Return where the links are at each look (TRACKED, N) [rad]."""
     table_run, track = _load_table_run(scene_name, step), []
     for _ in range(TRACKED):
@@ -177,7 +177,7 @@ def _load_table_run(scene_name: str, step: float | None = None) -> TableRun:
     return TableRun(scene, TargetTable(t, q), ServoStep(ServoArm(config), place))
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the section in Markdown."""
     lines = [
         "Emulator, servo and motion controller as three processes, servo period 1 ms.",
@@ -229,4 +229,4 @@ def _format_flag(value: bool) -> str:
 
 
 if __name__ == "__main__":
-    print(json.dumps(measure(sys.argv[1], sys.argv[2], float(sys.argv[3]))))
+    print(json.dumps(measure_network(sys.argv[1], sys.argv[2], float(sys.argv[3]))))

@@ -15,9 +15,9 @@ from typing import Any
 
 from arm_emulator.design.new_scene import write_new
 from bench.measure import show_progress
-from bench.pictures import make_figure, save
+from bench.pictures import make_figure, save_picture
 from bench.tables import format_table
-from oracles.followed_line import AssumedNumbers, ToolLine, follow
+from oracles.followed_line import AssumedNumbers, ToolLine, follow_line
 
 TITLE = "Feed-forward on a fast line"
 
@@ -42,7 +42,7 @@ PICTURED = "speed", "torque", "full, all 30 % too small", "full"
 PICTURE = "feedforward"
 
 
-def run(quick: bool, scenes: Sequence[str] = SCENES) -> dict[str, Any]:
+def run_bench(quick: bool, scenes: Sequence[str] = SCENES) -> dict[str, Any]:
     """Measure each scene with each case."""
     rows, curves = [], {}
     chosen = list(scenes)[: 1 if quick else None]
@@ -57,9 +57,9 @@ def run(quick: bool, scenes: Sequence[str] = SCENES) -> dict[str, Any]:
                 else str(_make_scene(WITHOUT_SERVO[name], Path(folder) / name))
             )
             for case, assumed in CASES.items():
-                followed = follow(scene, assumed)
+                followed = follow_line(scene, assumed)
                 again = (
-                    follow(scene, assumed, practised=True)
+                    follow_line(scene, assumed, practised=True)
                     if assumed.feedforward == "full"
                     else None
                 )
@@ -87,7 +87,7 @@ def _make_scene(robot: Path, folder: Path) -> Path:
     return write_new(robot, folder).file
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the section of the report."""
     line = ToolLine()
     lines = [
@@ -110,7 +110,7 @@ def report(figures: dict[str, Any]) -> str:
     return "\n".join([*lines, format_table(heads, rows)])
 
 
-def draw(figures: dict[str, Any], folder: Path) -> None:
+def draw_figures(figures: dict[str, Any], folder: Path) -> None:
     """Draw the distance of the tool from its reference over time."""
     figure = make_figure(7.0, 3.2)
     axes = figure.add_subplot()
@@ -122,14 +122,14 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
     axes.set_xlim(0.0, 1.2)
     axes.set_ylim(bottom=0.0)
     axes.legend()
-    save(figure, folder, PICTURE)
+    save_picture(figure, folder, PICTURE)
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="bench.feedforward", description=TITLE)
     parser.add_argument("scenes", nargs="*", default=SCENES, help="names or files")
-    print(report(run(False, parser.parse_args().scenes)))
+    print(write_report(run_bench(False, parser.parse_args().scenes)))
 
 
 if __name__ == "__main__":

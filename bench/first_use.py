@@ -38,7 +38,7 @@ print(json.dumps({"import": imported - started, "scene": loaded - imported,
 """
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Measure with an empty cache, then with a filled one."""
     repetitions = 5 if quick else 15
     figures: dict[str, Any] = {}
@@ -47,12 +47,12 @@ def run(quick: bool) -> dict[str, Any]:
         show_progress("first use", len(SCENES) * (1 + repetitions)) as done,
     ):
         for name in SCENES:
-            first, _ = _process(name, cache)
+            first, _ = _run_process(name, cache)
             done(f"{name}, compiled")
             figures[name] = {"first": first, "runs": []}
         for _ in range(repetitions):
             for name in SCENES:
-                inside, in_process = _process(name, cache)
+                inside, in_process = _run_process(name, cache)
                 figures[name]["runs"].append({**inside, "process": in_process})
                 done(f"{name}, cached")
     for figure in figures.values():
@@ -63,7 +63,7 @@ def run(quick: bool) -> dict[str, Any]:
     return figures
 
 
-def _process(scene: str, cache: str) -> tuple[dict[str, Any], float]:
+def _run_process(scene: str, cache: str) -> tuple[dict[str, Any], float]:
     """Return what a fresh process reports, and how long the whole of it took [s]."""
     environment = {**os.environ, "ARM_EMULATOR_CACHE": cache, "PYTHONPYCACHEPREFIX": cache}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)  # bytecode is kept, as it usually is
@@ -73,7 +73,7 @@ def _process(scene: str, cache: str) -> tuple[dict[str, Any], float]:
     return json.loads(run.stdout), time.perf_counter() - started
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the section in Markdown."""
     lines = [
         "A fresh Python process that has imported numpy makes a scene's plant and takes a step. "

@@ -53,12 +53,12 @@ def list_effects(scene: Scene) -> dict[str, dict[str, Any]]:
     return effects
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Make the demo with each effect."""
-    return {name: _measure(name, 30 if quick else None) for name in ARMS}
+    return {name: _measure_effects(name, 30 if quick else None) for name in ARMS}
 
 
-def _measure(name: str, instructions: int | None) -> dict[str, dict[str, Any]]:
+def _measure_effects(name: str, instructions: int | None) -> dict[str, dict[str, Any]]:
     file = find_scene(name)
     gains, effects = load_gains(file), list_effects(load_scene(file))
     demos = {}
@@ -73,7 +73,7 @@ def _measure(name: str, instructions: int | None) -> dict[str, dict[str, Any]]:
     return {label: asdict(measure_outcome(demo, nominal)) for label, demo in demos.items()}
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the table."""
     rows = []
     for label in figures[ARMS[0]]:
@@ -87,4 +87,4 @@ def report(figures: dict[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    print(report(run(False)))
+    print(write_report(run_bench(False)))

@@ -78,7 +78,7 @@ class WallTime:
     high: float
     repetitions: int
 
-    def per(self, count: float) -> WallTime:
+    def divide_by(self, count: float) -> WallTime:
         """Return the time of one of `count` equal parts."""
         return WallTime(self.median / count, self.low / count, self.high / count, self.repetitions)
 
@@ -88,7 +88,7 @@ class WallTime:
         return 0.5 * (self.high - self.low) / self.median
 
 
-def time_interleaved(
+def measure_interleaved(
     tasks: Mapping[str, Task], repetitions: int, done: Callable[[str], None] | None = None
 ) -> dict[str, WallTime]:
     """Time every task `repetitions` times, all of them in turn, after one turn of warm-up.
@@ -149,11 +149,11 @@ def show_progress(title: str, steps: int) -> Iterator[Callable[..., None]]:
         task = bar.add_task(title, total=steps, now="")
         bar.refresh()
 
-        def done(now: str = "") -> None:
+        def advance_bar(now: str = "") -> None:
             bar.update(task, advance=1, now=now)
             bar.refresh()
 
-        yield done
+        yield advance_bar
 
 
 def compile_all(scenes: Iterable[Scene]) -> None:

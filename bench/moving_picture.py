@@ -39,7 +39,7 @@ SETTLE_FIRST, SETTLE_NEXT = 8, 2
 _SETTLING = 3.0  # s, for the way to the first corner
 
 
-def record(rrd: Path) -> tuple[float, float]:
+def record_run(rrd: Path) -> tuple[float, float]:
     """Write a recording of the run; return begin and end of the round [s]."""
     offline_run = load_offline_run(SCENE)
     scene, kinematics = offline_run.session.scene, offline_run.controller.kinematics
@@ -82,9 +82,9 @@ def record(rrd: Path) -> tuple[float, float]:
     return begin * 1e-9, end * 1e-9
 
 
-def picture(out: Path) -> Path:
+def draw_picture(out: Path) -> Path:
     """Draw the picture into a folder and return its file."""
-    begin, end = record(out / "square.rrd")
+    begin, end = record_run(out / "square.rrd")
     moments = np.linspace(begin, end, FRAMES, endpoint=False) + 0.5 * (end - begin) / FRAMES
     pictures = [
         frame.crop(CROP) for frame in take_screenshots(out / "square.rrd", moments.tolist())

@@ -61,12 +61,14 @@ class MujocoArm:
             k for k, j in enumerate(scene.joints) if j.motor and j.gear.stiffness is not None
         ]
         self._ratio = scene.gear_ratios
-        self._q = self._addresses([joint.name for joint in scene.joints])
-        self._motors = self._addresses([f"{scene.joints[k].name}_rotor" for k in self._elastic])
+        self._q = self._find_addresses([joint.name for joint in scene.joints])
+        self._motors = self._find_addresses(
+            [f"{scene.joints[k].name}_rotor" for k in self._elastic]
+        )
         self._driven = [k for k, joint in enumerate(scene.joints) if joint.motor is not None]
         self.reset()
 
-    def _addresses(self, names: list[str]) -> NDArray[np.int64]:
+    def _find_addresses(self, names: list[str]) -> NDArray[np.int64]:
         return np.array([self.model.joint(name).qposadr[0] for name in names], dtype=np.int64)
 
     def reset(self) -> None:
@@ -86,9 +88,9 @@ class MujocoArm:
         for row in np.asarray(voltages)[:, self._driven]:
             control[:] = row
             step(model, data, nstep=steps)
-        self._check()
+        self._check_state()
 
-    def trace(self, voltages: ArrayLike, steps: int) -> Array:
+    def trace_rows(self, voltages: ArrayLike, steps: int) -> Array:
         """Do as `run`, and return link positions after each row, (K, N) [rad or m]."""
         rows, step = np.asarray(voltages), import_mujoco().mj_step
         q = np.empty((len(rows), len(self._q)))
@@ -96,10 +98,10 @@ class MujocoArm:
             self.data.ctrl[:] = row[self._driven]
             step(self.model, self.data, nstep=steps)
             q[k] = self.data.qpos[self._q]
-        self._check()
+        self._check_state()
         return q
 
-    def _check(self) -> None:
+    def _check_state(self) -> None:
         kinds = import_mujoco().mjtWarning
         bad = kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC
         if any(self.data.warning[kind].number > 0 for kind in bad):
@@ -143,7 +145,7 @@ def write_mjcf(scene: Scene, integrator: str, dt: float) -> str:
     flags = " ".join(f'{name}="disable"' for name in UNUSED)
     links, rotors, gears, motors = "", "", "", ""
     for index, joint in enumerate(scene.joints, start=1):
-        links += _link(model, index, joint)
+        links += _write_link(model, index, joint)
         if not isinstance(joint.motor, DcMotor):  # it has none
             continue
         motors += _write_motor(joint, joint.motor)
@@ -153,7 +155,7 @@ def write_mjcf(scene: Scene, integrator: str, dt: float) -> str:
     links += "</body>" * len(scene.joints)
     return f"""<mujoco>
 <compiler angle="radian"/>
-<option timestep="{dt!r}" integrator="{integrator}" gravity="{_join(scene.gravity or (0, 0, 0))}">
+<option timestep="{dt!r}" integrator="{integrator}" gravity="{_join_values(scene.gravity or (0, 0, 0))}">
 <flag {flags}/></option>
 <worldbody>{rotors}{links}</worldbody>
 <tendon>{gears}</tendon>
@@ -161,7 +163,7 @@ def write_mjcf(scene: Scene, integrator: str, dt: float) -> str:
 </mujoco>"""
 
 
-def _link(model: pin.Model, index: int, joint: Joint) -> str:
+def _write_link(model: pin.Model, index: int, joint: Joint) -> str:
     placement, inertia = model.jointPlacements[index], model.inertias[index]
     turn = pin.Quaternion(placement.rotation)
     I = inertia.inertia  # noqa: E741
@@ -171,9 +173,9 @@ def _link(model: pin.Model, index: int, joint: Joint) -> str:
     rigid = joint.motor is not None and joint.gear.stiffness is None
     carried = joint.motor.inertia / joint.gear.ratio**2 if rigid and joint.motor else 0.0
     return f"""
-<body pos="{_join(placement.translation)}" quat="{_join((turn.w, turn.x, turn.y, turn.z))}">
-<inertial mass="{inertia.mass!r}" pos="{_join(inertia.lever)}" fullinertia="{_join(tensor)}"/>
-<joint name="{joint.name}" type="{kind}" axis="{_join(axis)}"
+<body pos="{_join_values(placement.translation)}" quat="{_join_values((turn.w, turn.x, turn.y, turn.z))}">
+<inertial mass="{inertia.mass!r}" pos="{_join_values(inertia.lever)}" fullinertia="{_join_values(tensor)}"/>
+<joint name="{joint.name}" type="{kind}" axis="{_join_values(axis)}"
  damping="{joint.friction.viscous!r}" armature="{carried!r}"/>"""
 
 
@@ -187,7 +189,7 @@ def find_joint_axis(model: pin.Model, index: int) -> tuple[Array, Array]:
 
 
 def _write_rotor(joint: Joint, motor: DcMotor) -> str:
-    inertia = _join([motor.rotor_inertia] * 3)
+    inertia = _join_values([motor.rotor_inertia] * 3)
     return f"""
 <body><inertial mass="1" pos="0 0 0" diaginertia="{inertia}"/>
 <joint name="{joint.name}_rotor" type="hinge" axis="0 0 1"/></body>"""
@@ -210,5 +212,5 @@ def _write_motor(joint: Joint, motor: DcMotor) -> str:
  inductance="{motor.inductance!r} 0"/>"""
 
 
-def _join(values: ArrayLike) -> str:
+def _join_values(values: ArrayLike) -> str:
     return " ".join(repr(float(value)) for value in np.ravel(values))

@@ -18,11 +18,11 @@ from bench.measure import (
     WallTime,
     compile_all,
     make_stepping_task,
+    measure_interleaved,
     show_progress,
-    time_interleaved,
 )
 from bench.mujoco_peer import INTEGRATORS, MujocoArm
-from bench.pictures import COLOURS, PEERS, make_figure, save
+from bench.pictures import COLOURS, PEERS, make_figure, save_picture
 from bench.tables import format_table
 
 TITLE = "Time per step"
@@ -37,7 +37,7 @@ VOLTAGE = 3.0  # V, of changing sign from joint to joint: everything moves
 CALLS = 1_000  # servo periods, for the cost of a call from Python
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Measure every arm."""
     repetitions = 5 if quick else 15
     with tempfile.TemporaryDirectory() as folder:
@@ -52,7 +52,7 @@ def run(quick: bool) -> dict[str, Any]:
         with show_progress("time per step", repetitions * len(arms) * CASES_PER_MACHINE) as done:
             for name, schemes in arms.items():
                 tasks = _make_tasks(schemes)
-                timings = time_interleaved(tasks, repetitions, done)
+                timings = measure_interleaved(tasks, repetitions, done)
                 per_step = {task: asdict(_get_per_step(task, t)) for task, t in timings.items()}
                 figures["arms"][name] = {"joints": len(schemes["paper"].joints), "times": per_step}
         figures["python_call"] = _measure_calls(arms["three_axis"]["rosenbrock"], repetitions)
@@ -84,8 +84,8 @@ def _make_tasks(schemes: dict[str, Scene]) -> dict[str, Task]:
 
 def _get_per_step(task: str, measured: WallTime) -> WallTime:
     if task in STEPS:
-        return measured.per(STEPS[task])
-    return measured.per(MUJOCO_STEPS)
+        return measured.divide_by(STEPS[task])
+    return measured.divide_by(MUJOCO_STEPS)
 
 
 def _measure_calls(scene: Scene, repetitions: int) -> dict[str, Any]:
@@ -99,11 +99,11 @@ def _measure_calls(scene: Scene, repetitions: int) -> dict[str, Any]:
         for _ in range(CALLS):
             plant.advance(row, 0)
 
-    timings = time_interleaved(
+    timings = measure_interleaved(
         {"Plant.advance": Task(call_plant), "MuJoCo mj_step": make_stepping_task(arm, rows, 0)},
         repetitions,
     )
-    return {name: time.per(CALLS).median for name, time in timings.items()}
+    return {name: time.divide_by(CALLS).median for name, time in timings.items()}
 
 
 # The report
@@ -116,7 +116,7 @@ def find_fastest_mujoco(times: dict[str, Any]) -> tuple[str, float]:
     return name, medians[name]
 
 
-def draw(figures: dict[str, Any], folder: Path) -> None:
+def draw_figures(figures: dict[str, Any], folder: Path) -> None:
     """Draw the time of a step over the number of joints."""
     arms = list(figures["arms"].values())
     joints = [arm["joints"] for arm in arms]
@@ -133,10 +133,10 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
     axes.set_ylabel("time per step [ns]")
     axes.grid(True, color="0.9", linewidth=0.8)
     figure.legend(loc="outside right upper", frameon=False)
-    save(figure, folder, "ns_per_step")
+    save_picture(figure, folder, "ns_per_step")
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the section in Markdown."""
     arms = figures["arms"]
     names = list(next(iter(arms.values()))["times"])

@@ -34,7 +34,7 @@ class NumberOrigin:
     assumed: tuple[float, float] | None  # the range; None: published
     source: str = ""  # where, or for what is assumed, empty
 
-    def names(self) -> list[str]:
+    def list_names(self) -> list[str]:
         """Return the names of the figure as `varied` of a scene has them."""
         return [f"joints.{joint}.{self.section}.{self.key}" for joint in self.joints]
 

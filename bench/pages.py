@@ -26,7 +26,7 @@ from rich.console import Console
 
 from arm_emulator.base.refusal import Refusal
 from bench.measure import choose_compiler
-from docs.hooks import page_files
+from docs.hooks import list_page_files
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURES = ROOT / "docs" / "pictures"
@@ -38,13 +38,13 @@ ANY_BEGIN = re.compile(BEGIN.format(r"(\w+)"))
 def find_tables() -> dict[str, Path]:
     """Return the page of each measured table, by the name of its bench."""
     page_by_table = {}
-    for page in (ROOT / "README.md", *page_files().values()):
+    for page in (ROOT / "README.md", *list_page_files().values()):
         for name in ANY_BEGIN.findall(page.read_text(encoding="utf-8")):
             page_by_table[name] = page
     return page_by_table
 
 
-def put(text: str, name: str, table: str) -> str:
+def put_table(text: str, name: str, table: str) -> str:
     """Return a page's text with a table in its place.
 
     Raises:
@@ -60,56 +60,58 @@ def put(text: str, name: str, table: str) -> str:
 def _write_table(name: str, page: Path) -> None:
     section = importlib.import_module(f"bench.{name}")
     table = section.report(section.run(False))
-    page.write_text(put(page.read_text(encoding="utf-8"), name, table), encoding="utf-8")
+    page.write_text(put_table(page.read_text(encoding="utf-8"), name, table), encoding="utf-8")
 
 
-def _command(file: str, *words: str, into: str = "--out") -> Callable[[Path], Path]:
+def _make_command(file: str, *words: str, into: str = "--out") -> Callable[[Path], Path]:
     """Return what makes a picture by a command, which writes it as `file` into a folder."""
 
-    def make(scratch: Path) -> Path:
+    def make_file(scratch: Path) -> Path:
         command = [sys.executable, "-m", "arm_emulator", *words, into, str(scratch)]
         subprocess.run(command, check=True, cwd=ROOT)
         return scratch / file
 
-    return make
+    return make_file
 
 
 def _draw_by_bench(name: str, function: str = "picture") -> Callable[[Path], Path]:
     """Return what makes a picture by a bench that draws at once."""
 
-    def make(scratch: Path) -> Path:
+    def make_file(scratch: Path) -> Path:
         file: Path = getattr(importlib.import_module(f"bench.{name}"), function)(scratch)
         return file
 
-    return make
+    return make_file
 
 
 def _draw_by_section(name: str, file: str, quick: bool = False) -> Callable[[Path], Path]:
     """Return what makes a picture of what a bench measures."""
 
-    def make(scratch: Path) -> Path:
+    def make_file(scratch: Path) -> Path:
         section = importlib.import_module(f"bench.{name}")
         section.draw(section.run(quick), scratch)
         return scratch / file
 
-    return make
+    return make_file
 
 
 PAINTERS: dict[str, Callable[[Path], Path]] = {
     "arm.gif": _draw_by_bench("moving_picture"),
-    "campaign.png": _command("influences.png", "campaign", "examples/campaign.yaml", into="--into"),
+    "campaign.png": _make_command(
+        "influences.png", "campaign", "examples/campaign.yaml", into="--into"
+    ),
     "faults.png": _draw_by_section("fault_matrix", "faults.png"),
     "feedforward.png": _draw_by_section("feedforward", "feedforward.png", quick=True),
-    "fig4.png": _command("fig4.png", "demo", "three_axis"),
-    "kuka_kr300_run_B.png": _command("kuka_kr300_run_B.png", "validate", "kuka_kr300"),
+    "fig4.png": _make_command("fig4.png", "demo", "three_axis"),
+    "kuka_kr300_run_B.png": _make_command("kuka_kr300_run_B.png", "validate", "kuka_kr300"),
     "live_page.png": _draw_by_bench("page_picture", "live"),
     "look.png": _draw_by_bench("page_picture", "look"),
-    "manutec_r3.png": _command("manutec_r3.png", "validate", "manutec_r3"),
+    "manutec_r3.png": _make_command("manutec_r3.png", "validate", "manutec_r3"),
     "published_joints.png": _draw_by_section("published_joints", "published_joints.png"),
     "published_responses.png": _draw_by_section("published_responses", "published_responses.png"),
     "tool_paths.png": _draw_by_bench("tool_paths"),
     "vibration.png": _draw_by_section("vibration", "vibration.png"),
-    "tune_ur5.png": _command("tune_ur5.png", "tune", "ur5"),
+    "tune_ur5.png": _make_command("tune_ur5.png", "tune", "ur5"),
 }
 
 

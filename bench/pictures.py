@@ -27,6 +27,6 @@ def make_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def save(figure: Figure, folder: Path, name: str) -> None:
+def save_picture(figure: Figure, folder: Path, name: str) -> None:
     """Write `name`.png, the same bytes for the same figures."""
     figure.savefig(folder / f"{name}.png", dpi=110)

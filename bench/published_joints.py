@@ -19,7 +19,7 @@ from arm_emulator import ExternalWrench, Plant, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.io.config_files import find_config_folder
 from bench.measure import show_progress
-from bench.pictures import make_figure, save
+from bench.pictures import make_figure, save_picture
 from bench.tables import format_table
 from oracles.bam import Bam
 from oracles.random_chain import LINK
@@ -48,14 +48,14 @@ class Published(Bam):
     Kv: float
     load: float
 
-    def resist(self, w: float, tau: float, load: float) -> float:
+    def compute_torque(self, w: float, tau: float, load: float) -> float:
         """Return the torque against motion at the speed w, of the motor's torque and the load.
 
         Both count positive where the motor holds the load.
         """
         return self(1.0, w, tau, load, abs(tau) > abs(load)) + self.Kv * w
 
-    def solve(self, kind: str, w: float, load: float) -> float:
+    def solve_balance(self, kind: str, w: float, load: float) -> float:
         """Return the friction where joint, motor and load are in balance [N m].
 
         Args:
@@ -65,9 +65,9 @@ class Published(Bam):
             load: of the joint [N m].
         """
         balance: dict[str, Callable[[float], float]] = {
-            "drives": lambda x: x - self.resist(w, load + x, load),
-            "driven": lambda x: x - self.resist(w, load - x, load),
-            "off": lambda x: x - self.resist(w, 0.0, x),
+            "drives": lambda x: x - self.compute_torque(w, load + x, load),
+            "driven": lambda x: x - self.compute_torque(w, load - x, load),
+            "off": lambda x: x - self.compute_torque(w, 0.0, x),
         }
         grid = np.linspace(0.0, 4.0 * self.load, 4001)
         first = next(k for k, x in enumerate(grid) if balance[kind](x) > 0.0)
@@ -136,7 +136,7 @@ class Stand:
         """Return the torque of the motor by its current, seen at the output [N m]."""
         return float(self.plant.state.current[0]) * self.constant
 
-    def advance(self, torque: float, load: float) -> None:
+    def advance_period(self, torque: float, load: float) -> None:
         """Advance by a period with a torque of the motor, and one of the load against it."""
         command = torque / self.constant
         if self.resistance is not None:
@@ -144,26 +144,26 @@ class Stand:
         self.plant.set_external_wrench(f"{NAME}_link", ExternalWrench(moment=[0.0, 0.0, -load]))
         self.plant.advance(np.array([command]), STEPS)
 
-    def hold(self, load: float) -> None:
+    def hold_load(self, load: float) -> None:
         """Load the joint and wait; the motor balances the load."""
         self.plant.reset()
         for k in range(1, SETTLED):
             part = load * min(1.0, 2.0 * k / SETTLED)
-            self.advance(part, part)
+            self.advance_period(part, part)
         assert self.speed == 0.0, "the load is balanced"
 
     def measure_breakaway(self, kind: str, load: float, largest: float) -> float:
         """Return the friction at rest by a slow ramp, until the rotor moves [N m]."""
-        self.hold(0.0 if kind == "off" else load)
+        self.hold_load(0.0 if kind == "off" else load)
         by = RAMP * largest * (1.0 if kind == "drives" else -1.0)
         torque, ramp, stiction = load, 0.0, 0.0
         while self.speed == 0.0:
             stiction = abs(ramp if kind == "off" else self.torque - load)
             ramp += by
             if kind == "off":
-                self.advance(0.0, abs(ramp))
+                self.advance_period(0.0, abs(ramp))
             else:
-                self.advance(torque + ramp, load)
+                self.advance_period(torque + ramp, load)
         return stiction
 
     def measure_motion(self, kind: str, w: float, load: float) -> float:
@@ -173,7 +173,7 @@ class Stand:
         the load, by the disk's speed.
         """
         off = kind == "off"
-        self.hold(0.0 if off else load)
+        self.hold_load(0.0 if off else load)
         goal = w if kind == "drives" else -w
         gain = 2.0 * self.inertia * BANDWIDTH
         integral, torques = 0.0, []
@@ -182,22 +182,22 @@ class Stand:
             integral += RESET * PERIOD * error
             torque = gain * (error + integral)
             if off:
-                self.advance(0.0, -torque)
+                self.advance_period(0.0, -torque)
             else:
-                self.advance(load + torque, load)
+                self.advance_period(load + torque, load)
             if k >= MOVED - MEASURED:
                 torques.append(abs(torque) if off else abs(self.torque - load))
         assert abs(error) < 1e-6 * w, "the speed is constant"
         return float(np.mean(torques))
 
-    def measure(self, kind: str, w: float, load: float, largest: float) -> float:
+    def measure_friction(self, kind: str, w: float, load: float, largest: float) -> float:
         """Return the friction at a speed, or at rest [N m]."""
         if w == 0.0:
             return self.measure_breakaway(kind, load, largest)
         return self.measure_motion(kind, w, load)
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Measure the friction of all joints."""
     chosen = list(JOINTS)[: 1 if quick else None]
     with tempfile.TemporaryDirectory() as folder, show_progress("joints", len(chosen)) as done:
@@ -215,22 +215,22 @@ def _measure_joint(published: Published, stand: Stand) -> list[dict[str, Any]]:
         for kind in WORDS:
             loads = np.linspace(0.0, published.load, POINTS)
             if kind == "off":  # the load is what the friction is
-                loads = np.array([published.solve("off", w, 0.0)])
-            ours = [stand.measure(kind, w, load, published.load) for load in loads]
-            theirs = [published.solve(kind, w, load) for load in loads]
+                loads = np.array([published.solve_balance("off", w, 0.0)])
+            ours = [stand.measure_friction(kind, w, load, published.load) for load in loads]
+            theirs = [published.solve_balance(kind, w, load) for load in loads]
             rows.append({"where": where, "w": w, "kind": kind, "loads": loads.tolist(),
                          "ours": ours, "theirs": theirs})  # fmt: skip
     return rows
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the table of errors."""
     rows = []
     for name, cases in figures["joints"].items():
-        theirs = _join(cases, "theirs")
-        off = _join(cases, "ours") - theirs
-        at_rest = _join([case for case in cases if case["w"] == 0.0], "theirs")
-        rest_off = _join([case for case in cases if case["w"] == 0.0], "ours") - at_rest
+        theirs = _join_cases(cases, "theirs")
+        off = _join_cases(cases, "ours") - theirs
+        at_rest = _join_cases([case for case in cases if case["w"] == 0.0], "theirs")
+        rest_off = _join_cases([case for case in cases if case["w"] == 0.0], "ours") - at_rest
         rows.append((
             f"`{name}`", f"0 to {JOINTS[name].load:g} N m",
             f"{theirs.min():.3g} to {theirs.max():.3g} N m", len(off),
@@ -243,11 +243,11 @@ def report(figures: dict[str, Any]) -> str:
     return format_table(heads, rows)
 
 
-def _join(cases: list[dict[str, Any]], key: str) -> Array:
+def _join_cases(cases: list[dict[str, Any]], key: str) -> Array:
     return np.concatenate([case[key] for case in cases])
 
 
-def draw(figures: dict[str, Any], folder: Path) -> None:
+def draw_figures(figures: dict[str, Any], folder: Path) -> None:
     """Draw the measured points over the published curves."""
     figure = make_figure(12.0, 6.6)
     joints = figures["joints"].items()
@@ -259,7 +259,7 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
             kind, style = case["kind"], ("-", "--", "-.")[list(SPEEDS).index(case["where"])]
             colour = f"C{list(WORDS).index(kind)}"
             if kind != "off":
-                curve = [published.solve(kind, case["w"], load) for load in loads]
+                curve = [published.solve_balance(kind, case["w"], load) for load in loads]
                 axes.plot(loads, curve, style, color=colour, lw=1.2,
                           label=f"{WORDS[kind]}, {case['where']}")  # fmt: skip
             label = None
@@ -269,11 +269,11 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
                       ms=4.5, mfc="none", label=label)  # fmt: skip
         axes.set(title=name, xlabel="load, N m", ylabel="friction, N m",
                  xlim=(0.0, 1.04 * published.load))  # fmt: skip
-        axes.set_ylim(0.0, 1.15 * max(_join(cases, "theirs")))
+        axes.set_ylim(0.0, 1.15 * max(_join_cases(cases, "theirs")))
     lines, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(lines, labels, loc="outside lower center", ncols=3)
-    save(figure, folder, PICTURE)
+    save_picture(figure, folder, PICTURE)
 
 
 if __name__ == "__main__":
-    print(report(run(False)))
+    print(write_report(run_bench(False)))

@@ -15,7 +15,7 @@ from scipy import signal
 from arm_emulator import LinearMachine, Plant, linearise, load_scene
 from arm_emulator.analysis.stability import compute_rest
 from arm_emulator.base.arrays import Array
-from bench.pictures import make_figure, save
+from bench.pictures import make_figure, save_picture
 from bench.tables import format_table
 
 TITLE = "Published frequency responses"
@@ -44,7 +44,7 @@ class Masses:
         """File of our scene of it."""
         return str(ROOT / self.name / f"{self.name}.yaml")
 
-    def respond(self, frequencies: Array) -> Array:
+    def compute_response(self, frequencies: Array) -> Array:
         """Return the motor's speed per torque, complex (F,) [rad/s per N m]."""
         count, out = len(self.inertias), []
         for w in 2.0 * np.pi * frequencies:
@@ -81,7 +81,7 @@ SAMPLES = 1024  # of a piece of the spectrum
 EVERY = 50  # samples from one pose to the next
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Compute the responses of the ABB axes, and the modes of the KR 300 beside its record."""
     spectra = {name: _read_spectrum(name) for name in RUNS}
     scene = load_scene("kuka_kr300")
@@ -89,17 +89,17 @@ def run(quick: bool) -> dict[str, Any]:
     stiffness = np.diag([joint.gear.stiffness for joint in scene.joints[:AXES]])
     modes = np.array([_find_locked_modes(plant, stiffness, q) for q in _read_poses()])
     return {
-        "abb": {axis.name: _compare(axis) for axis in ABB},
+        "abb": {axis.name: _compare_responses(axis) for axis in ABB},
         "kr300": {"spectra": spectra, "least": modes.min(axis=0).tolist(),
                   "most": modes.max(axis=0).tolist()},
     }  # fmt: skip
 
 
-def _compare(axis: Masses) -> dict[str, Any]:
+def _compare_responses(axis: Masses) -> dict[str, Any]:
     """Return the published response, ours, and their peaks."""
     machine = load_scene(axis.scene)
-    theirs = axis.respond(FREQUENCIES)
-    ours = _respond(linearise(machine, machine.start), FREQUENCIES)
+    theirs = axis.compute_response(FREQUENCIES)
+    ours = _compute_response(linearise(machine, machine.start), FREQUENCIES)
     return {
         "theirs": np.abs(theirs).tolist(),
         "ours": np.abs(ours).tolist(),
@@ -109,7 +109,7 @@ def _compare(axis: Masses) -> dict[str, Any]:
     }
 
 
-def _respond(linear: LinearMachine, frequencies: Array) -> Array:
+def _compute_response(linear: LinearMachine, frequencies: Array) -> Array:
     """Return the machine's motor speed per command of the first joint, complex (K,)."""
     s = 2j * np.pi * frequencies
     x = np.linalg.solve(s[:, None, None] * np.eye(len(linear.A)) - linear.A, linear.B[:, [0]])
@@ -146,11 +146,11 @@ def _find_locked_modes(plant: Plant, stiffness: Array, q: Array) -> Array:
     return np.asarray(np.sort(np.sqrt(squares)) / (2.0 * np.pi))
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the table."""
     kr300 = figures["kr300"]
 
-    def show(values: list[float]) -> str:
+    def show_values(values: list[float]) -> str:
         return ", ".join(f"{value:.2f}" for value in values) + " Hz"
 
     rows: list[tuple[str, ...]] = []
@@ -158,17 +158,19 @@ def report(figures: dict[str, Any]) -> str:
         for key in ("antiresonances", "resonances"):
             theirs, ours = abb[key]
             off = max(abs(b / a - 1.0) for a, b in zip(theirs, ours, strict=True))
-            rows.append((f"`{name}`", key, show(theirs), show(ours), f"{100 * off:.2f} %"))
+            rows.append(
+                (f"`{name}`", key, show_values(theirs), show_values(ours), f"{100 * off:.2f} %")
+            )
         rows.append((f"`{name}`", "gain, 1 to 100 Hz", "", "", f"{100 * abb['off']:.2g} %"))
     ranges = [f"{a:.1f} to {b:.1f}" for a, b in zip(kr300["least"], kr300["most"], strict=True)]
     for name, spectrum in kr300["spectra"].items():
         rows.append((f"`kuka_kr300`, run {name}", "largest swing of the torques, axes 1 to 3",
-                     show(spectrum["peaks"]), ", ".join(ranges) + " Hz", ""))  # fmt: skip
+                     show_values(spectrum["peaks"]), ", ".join(ranges) + " Hz", ""))  # fmt: skip
     heads = ("arm", "quantity", "published", "ours", "off")
     return format_table(heads, rows)
 
 
-def draw(figures: dict[str, Any], folder: Path) -> None:
+def draw_figures(figures: dict[str, Any], folder: Path) -> None:
     """Draw the responses of the ABB axes, and torques of the KR 300 beside its first mode."""
     figure = make_figure(12.0, 3.6)
     *left, right = figure.subplots(1, 1 + len(ABB))
@@ -190,8 +192,8 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
     right.set(title="kuka_kr300: measured torques", xlabel="Hz",
               ylabel="(N m)²/Hz at the motors", xlim=(2.0, 40.0), ylim=(1e-4, 1.0))  # fmt: skip
     right.legend()
-    save(figure, folder, PICTURE)
+    save_picture(figure, folder, PICTURE)
 
 
 if __name__ == "__main__":
-    print(report(run(False)))
+    print(write_report(run_bench(False)))

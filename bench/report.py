@@ -61,7 +61,7 @@ smooth but for the jumps of the voltages; friction that sticks, limits that are 
 are not in the work-precision curves."""
 
 
-def bench(quick: bool, only: list[str], out: Path, publish: Path | None) -> int:
+def run_benches(quick: bool, only: list[str], out: Path, publish: Path | None) -> int:
     """Measure, write figures, pictures and report into `out`, and print how it went.
 
     Args:
@@ -117,7 +117,7 @@ def bench(quick: bool, only: list[str], out: Path, publish: Path | None) -> int:
     for name, reason in figures["failed"].items():
         console.print(f"[red]section {name} failed[/red]: {reason}")
     if publish is not None and not figures["failed"]:
-        _publish(out, publish)
+        _publish_report(out, publish)
         console.print(f"published in {publish}")
     return 1 if figures["failed"] else 0
 
@@ -211,7 +211,7 @@ def _format_verdict(met: bool | None) -> str:
     return {True: "reached", False: "**not reached**", None: ""}[met]
 
 
-def _publish(out: Path, publish: Path) -> None:
+def _publish_report(out: Path, publish: Path) -> None:
     publish.mkdir(parents=True, exist_ok=True)
     for pattern in ("report.md", "figures.json", "*.png"):
         for file in out.glob(pattern):

@@ -86,7 +86,7 @@ def make_emulator(dt: float, events: str) -> Peer:
     """Return the emulator: the worm is `load` and `back_load` of a rotor behind a stiff gear."""
     stiffness = 1e8  # N/m; yields by less than 0.02 mm under the loads
 
-    def run(hoist: Hoist, duration: float) -> tuple[Array, Array]:
+    def run_hoist(hoist: Hoist, duration: float) -> tuple[Array, Array]:
         worm = {"coulomb": 0.0, "load": LIFTING, "back_load": LOWERING}
         motor = {"kind": "torque", "rotor_inertia": ROTOR, "friction": worm}
         gear = {"ratio": RATIO, "stiffness": stiffness, "damping": 3e4}
@@ -110,7 +110,7 @@ def make_emulator(dt: float, events: str) -> Peer:
             reached.append([plant.state.q[0] - 1.0, plant.state.v[0]])
         return np.array(reached)[:, 0], np.array(reached)[:, 1]
 
-    return run
+    return run_hoist
 
 
 def make_mujoco_hoist(
@@ -125,7 +125,7 @@ def make_mujoco_hoist(
         is_loaded: sets the friction before each step to that under the force of the last one.
     """
 
-    def run(hoist: Hoist, duration: float) -> tuple[Array, Array]:
+    def run_hoist(hoist: Hoist, duration: float) -> tuple[Array, Array]:
         model = import_mujoco().MjModel.from_xml_string(f"""<mujoco>
 <option timestep="{dt!r}" gravity="0 0 {-G}" {option}/><worldbody><body>
 <inertial pos="0 0 0" mass="{hoist.mass!r}" diaginertia="1 1 1"/>
@@ -142,7 +142,7 @@ def make_mujoco_hoist(
             reached.append([data.qpos[0], data.qvel[0]])
         return np.array(reached)[:, 0], np.array(reached)[:, 1]
 
-    return run
+    return run_hoist
 
 
 def compute_smoothed_force(hoist: Hoist, v: float, slow: float) -> float:
@@ -158,7 +158,7 @@ def compute_smoothed_force(hoist: Hoist, v: float, slow: float) -> float:
 def make_pinocchio_hoist(dt: float, slow: float) -> Peer:
     """Return Pinocchio's ABA under the smoothed law, in semi-implicit Euler steps."""
 
-    def run(hoist: Hoist, duration: float) -> tuple[Array, Array]:
+    def run_hoist(hoist: Hoist, duration: float) -> tuple[Array, Array]:
         model = pin.buildModelFromXML(write_urdf(hoist))
         model.gravity.linear = np.array([0.0, 0.0, -G])
         model.armature = np.array([CARRIED])
@@ -171,13 +171,13 @@ def make_pinocchio_hoist(dt: float, slow: float) -> Peer:
             reached.append([q[0], v[0]])
         return np.array(reached)[:, 0], np.array(reached)[:, 1]
 
-    return run
+    return run_hoist
 
 
 def make_drake_hoist(slow: float) -> Peer:
     """Return Drake's continuous plant with its own integrator, under the smoothed law."""
 
-    def run(hoist: Hoist, duration: float) -> tuple[Array, Array]:
+    def run_hoist(hoist: Hoist, duration: float) -> tuple[Array, Array]:
         framework = importlib.import_module("pydrake.systems.framework")
         plants = importlib.import_module("pydrake.multibody.plant")
         parsing = importlib.import_module("pydrake.multibody.parsing")
@@ -189,9 +189,9 @@ def make_drake_hoist(slow: float) -> Peer:
             def __init__(self) -> None:
                 super().__init__()
                 self.DeclareVectorInputPort("state", 2)
-                self.DeclareVectorOutputPort("force", 1, self.compute)
+                self.DeclareVectorOutputPort("force", 1, self.compute_force)
 
-            def compute(self, context: Any, output: Any) -> None:
+            def compute_force(self, context: Any, output: Any) -> None:
                 v = float(self.get_input_port().Eval(context)[1])
                 output.SetFromVector([hoist.force + compute_smoothed_force(hoist, v, slow)])
 
@@ -218,7 +218,7 @@ def make_drake_hoist(slow: float) -> Peer:
             reached.append([guide.get_translation(context), guide.get_translation_rate(context)])
         return np.array(reached)[:, 0], np.array(reached)[:, 1]
 
-    return run
+    return run_hoist
 
 
 PEERS: dict[str, Peer] = {
@@ -236,19 +236,19 @@ PEERS: dict[str, Peer] = {
 }
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Let every hoist hold, lift, lower and stop."""
     rows = []
     with show_progress("hoists", len(PEERS)) as done:
         for name, peer in PEERS.items():
             rows.append(
-                {"name": name, **_measure(peer, 0.2 * LOADED_TIME if quick else LOADED_TIME)}
+                {"name": name, **_measure_peer(peer, 0.2 * LOADED_TIME if quick else LOADED_TIME)}
             )
             done(name)
     return {"peers": rows}
 
 
-def _measure(peer: Peer, zoh_torque: float) -> dict[str, Any]:
+def _measure_peer(peer: Peer, zoh_torque: float) -> dict[str, Any]:
     masses = [share * TUNED for share in LOADS]
     directions = {"up": STOPPED, "down": -STOPPED}
     return {
@@ -258,7 +258,7 @@ def _measure(peer: Peer, zoh_torque: float) -> dict[str, Any]:
             for direction, speed in directions.items()
         },
         "stop": {
-            direction: [_stop(peer, Hoist(mass, speed=speed)) for mass in masses]
+            direction: [_measure_stop(peer, Hoist(mass, speed=speed)) for mass in masses]
             for direction, speed in directions.items()
         },
     }
@@ -274,15 +274,15 @@ def _measure_creep(peer: Peer, hoist: Hoist, zoh_torque: float) -> float:
 def _keep_speed(peer: Peer, hoist: Hoist) -> float:
     """Return the force that keeps the speed for a tenth of a second, by that of the closed form."""
 
-    def rise(force: float) -> float:
+    def compute_rise(force: float) -> float:
         return float(peer(Hoist(hoist.mass, force, hoist.speed), 0.1)[1][-1]) - hoist.speed
 
     needed, beyond = predict_force(hoist), 4.0 * TUNED * G
-    torque = brentq(rise, needed - beyond, needed + beyond, xtol=1e-4 * hoist.weight)
+    torque = brentq(compute_rise, needed - beyond, needed + beyond, xtol=1e-4 * hoist.weight)
     return float(torque) / needed
 
 
-def _stop(peer: Peer, hoist: Hoist) -> float | None:
+def _measure_stop(peer: Peer, hoist: Hoist) -> float | None:
     """Return the way to rest without power, by that of the closed form; None: it does not stop.
 
     What it creeps after the instant of rest in closed form is no part of the way.
@@ -294,7 +294,7 @@ def _stop(peer: Peer, hoist: Hoist) -> float | None:
     return float(q[-1] - v[-1] * (1.0 - 2.0 * distance / hoist.speed)) / distance
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the section of the report."""
     loads = [f"{share * TUNED:g} kg" for share in LOADS]
 

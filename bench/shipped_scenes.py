@@ -13,7 +13,7 @@ from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.runs.offline import load_offline_run
 from bench.bare import BARE
-from bench.measure import Task, compile_all, show_progress, time_interleaved
+from bench.measure import Task, compile_all, measure_interleaved, show_progress
 from bench.tables import format_table
 
 TITLE = "A step of each scene as shipped"
@@ -23,7 +23,7 @@ REST = 0.2  # s of rest at the end of the motion, before it is timed and while i
 MOVING, RESTING, STRIPPED = "in the demo's motion", "at rest under the servo", "stripped, moving"
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Measure every scene under the commands of the demo's motion, recorded in closed loop."""
     repetitions = 5 if quick else 15
     shipped = {name: load_scene(name) for name in SCENES}
@@ -33,13 +33,13 @@ def run(quick: bool) -> dict[str, Any]:
     with show_progress("a step as shipped", 3 * repetitions * len(SCENES)) as done:
         for name, scene in shipped.items():
             tasks, steps = _make_tasks(scene, stripped[name])
-            timings = time_interleaved(tasks, repetitions, done)
+            timings = measure_interleaved(tasks, repetitions, done)
             figures[name] = {
                 "joints": len(scene.joints),
                 "dt": scene.integrator.dt,
                 "scheme": scene.integrator.scheme,
                 "events": scene.integrator.events,
-                "times": {task: asdict(timings[task].per(steps[task])) for task in tasks},
+                "times": {task: asdict(timings[task].divide_by(steps[task])) for task in tasks},
             }
     return figures
 
@@ -79,11 +79,11 @@ def _make_timed_task(plant: Plant, before: Array, rows: Array) -> Task:
     """Return the task of running under `rows`, once the machine has run under `before`."""
     steps = _count_steps(plant.scene)
 
-    def prepare(_: int) -> None:
+    def prepare_machine(_: int) -> None:
         plant.reset()
         plant.run(before, steps)
 
-    return Task(lambda _: plant.run(rows, steps), prepare)
+    return Task(lambda _: plant.run(rows, steps), prepare_machine)
 
 
 def _count_steps(scene: Scene) -> int:
@@ -95,7 +95,7 @@ def _make_voltages(scene: Scene, periods: int) -> Array:
     return np.tile(3.0 * (-1.0) ** np.arange(len(scene.joints)), (periods, 1))
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the table of README.md."""
     rows = []
     for name, scene in figures.items():

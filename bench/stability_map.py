@@ -17,7 +17,7 @@ from arm_emulator.machine.schemes.known import SCHEMES
 from bench.measure import compile_all, map_on_all_cores
 from bench.motion import make_sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm, PeerDiverged
-from bench.pictures import make_figure, save
+from bench.pictures import make_figure, save_picture
 from bench.tables import format_table
 from oracles.reference import make_links_model
 
@@ -42,7 +42,7 @@ ACCURATE_CELL, BOUNDED_CELL, DETECTED_CELL, LOST_CELL = range(4)
 MEANING = ("accurate", "bounded", "diverged, detected", "diverged, not detected")
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Fill the maps."""
     axes = _list_axes(quick)
     compile_all(
@@ -71,11 +71,11 @@ def _list_axes(quick: bool) -> dict[str, dict[str, Any]]:
     """Return the three parameters that are varied, each as overrides of the scene."""
     per_decade = 1 if quick else 2
 
-    def decades(first: int, last: int) -> list[float]:
+    def list_decades(first: int, last: int) -> list[float]:
         return [float(x) for x in np.logspace(first, last, per_decade * (last - first) + 1)]
 
     scene = load_scene(SCENE)
-    stiffness, constants, ratios = decades(2, 8), decades(-7, -2), decades(-4, 4)
+    stiffness, constants, ratios = list_decades(2, 8), list_decades(-7, -2), list_decades(-4, 4)
     inertia = _link_inertia(scene)
     data = scene.joints[0].servo_data
     resistance = data.resistance if data and data.resistance else 1.0
@@ -147,7 +147,7 @@ def _run_ours(
 
 def _run_mujoco(scene: Scene, integrator: str, dt: float, voltages: Array) -> Array | None:
     try:
-        return MujocoArm(scene, integrator, dt).trace(voltages, round(PERIOD / dt))
+        return MujocoArm(scene, integrator, dt).trace_rows(voltages, round(PERIOD / dt))
     except PeerDiverged:
         return None
 
@@ -181,7 +181,7 @@ def is_bounded_everywhere(figures: dict[str, Any], scheme: str) -> bool:
     )
 
 
-def draw(figures: dict[str, Any], folder: Path) -> None:
+def draw_figures(figures: dict[str, Any], folder: Path) -> None:
     """Draw the maps: a row for each parameter, a column for each scheme."""
     axes = figures["axes"]
     names = list(next(iter(axes.values()))["cells"])
@@ -198,7 +198,7 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
         panel.set_title(name, fontsize=11)
     for row, axis in zip(panels, axes.values(), strict=True):
         for panel, name in zip(row, names, strict=True):
-            levels = _grade_cells(axis["cells"][name], axis["errors"][name])
+            levels = _evaluate_cells(axis["cells"][name], axis["errors"][name])
             image = panel.pcolormesh(
                 _find_borders(axis["values"]),
                 _find_borders(figures["steps"]),
@@ -220,10 +220,10 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
         ["1e-10 rad", "1e-6 rad", "1e-3 rad: accurate below", "bounded above", "diverged, detected",
          "diverged, not detected"]
     )  # fmt: skip
-    save(figure, folder, "stability_map")
+    save_picture(figure, folder, "stability_map")
 
 
-def _grade_cells(cells: list[list[int]], errors: list[list[float | None]]) -> Array:
+def _evaluate_cells(cells: list[list[int]], errors: list[list[float | None]]) -> Array:
     """Return (steps, values): the error's decade, or where divergence lies on the colour scale."""
     levels = np.empty((len(cells[0]), len(cells)))
     for i, (column, column_errors) in enumerate(zip(cells, errors, strict=True)):
@@ -245,7 +245,7 @@ def _find_borders(centres: Sequence[float]) -> Array:
                                               [2 * log[-1] - middle[-1]]]))  # fmt: skip
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the section in Markdown."""
     axes = figures["axes"]
     truth = max(max(axis["truth_differs"]) for axis in axes.values())

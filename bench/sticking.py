@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bench.measure import show_progress
-from bench.pictures import make_figure, save
+from bench.pictures import make_figure, save_picture
 from bench.sticking_peers import (
     SAMPLE,
     Bar,
@@ -76,20 +76,22 @@ PULLS: dict[str, Peer] = {
 }
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Let them rest, swing and be pulled."""
     draws = 2 if quick else DRAWS
     steps = STEPS[1:4] if quick else STEPS
     with show_progress("machines", len(HOLDS) + len(SWINGS) * len(steps) + len(PULLS)) as done:
         return {
-            "hold": [_hold(name, peer, 0.1 * t if quick else t, done) for name, peer, t in HOLDS],
+            "hold": [
+                _hold_bar(name, peer, 0.1 * t if quick else t, done) for name, peer, t in HOLDS
+            ],
             "loads": _measure_largest_creep(20 if quick else 1000),
             "swing": _measure_swing(draws, steps, done),
-            "pull": [_pull(name, peer, done) for name, peer in PULLS.items()],
+            "pull": [_pull_bar(name, peer, done) for name, peer in PULLS.items()],
         }
 
 
-def _hold(name: str, peer: Peer, duration: float, done: Any) -> dict[str, Any]:
+def _hold_bar(name: str, peer: Peer, duration: float, done: Any) -> dict[str, Any]:
     ran = peer(Bar(), duration, 0.0)
     half = len(ran.q) // 2
     done(name)
@@ -129,7 +131,7 @@ def _measure_swing(draws: int, steps: tuple[float, ...], done: Any) -> list[dict
     return rows
 
 
-def _pull(name: str, peer: Peer, done: Any) -> dict[str, Any]:
+def _pull_bar(name: str, peer: Peer, done: Any) -> dict[str, Any]:
     assert PULLED.pull is not None
     q = peer(PULLED, PULL, 0.0).q
     spring = PULLED.pull[1] * SAMPLE * np.arange(1, len(q) + 1) - q
@@ -142,7 +144,7 @@ def _pull(name: str, peer: Peer, done: Any) -> dict[str, Any]:
     return {"name": name, "period": period, "swing": swing, "spring": spring[-600:].tolist()}
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the section of the report."""
     period, swing = predict_stick_slip(PULLED)
     rest = [
@@ -189,7 +191,7 @@ discrete time have one coefficient: they slide evenly.
 {format_table(("pulled", "period [s]", "swing [rad]"), cycles)}"""
 
 
-def draw(figures: dict[str, Any], folder: Path) -> None:
+def draw_figures(figures: dict[str, Any], folder: Path) -> None:
     """Draw errors over the time of computation, and the spring of the bar that is pulled."""
     figure = make_figure(9.0, 3.4)
     left, right = figure.subplots(1, 2)
@@ -207,4 +209,4 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
     right.set_ylabel("twist of the spring [rad]")
     right.set_ylim(bottom=-0.01)
     right.legend(fontsize=7, loc="lower left")
-    save(figure, folder, PICTURE)
+    save_picture(figure, folder, PICTURE)

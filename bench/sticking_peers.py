@@ -64,7 +64,7 @@ class PeerRun:
 Peer = Callable[[Bar, float, float], PeerRun]
 
 
-def time_samples(advance: Callable[[], float], duration: float, dt: float) -> PeerRun:
+def measure_samples(advance: Callable[[], float], duration: float, dt: float) -> PeerRun:
     """Return a run of which `advance` gives the place after each sample."""
     q = np.empty(round(duration / SAMPLE))
     began = time.perf_counter()
@@ -85,7 +85,7 @@ def write_urdf(bar: Bar) -> str:
 def make_emulator(dt: float, events: str) -> Peer:
     """Return the emulator with a step and a way to treat events."""
 
-    def run(bar: Bar, duration: float, start: float) -> PeerRun:
+    def run_bar(bar: Bar, duration: float, start: float) -> PeerRun:
         joint: dict[str, Any] = {
             "friction": {"coulomb": bar.friction, "breakaway": bar.breakaway * bar.friction}
         }
@@ -113,13 +113,13 @@ def make_emulator(dt: float, events: str) -> Peer:
         q = plant.run(rows, round(SAMPLE / dt))[:, 0]
         return PeerRun(q, 1e9 * (time.perf_counter() - began) / (duration / dt))
 
-    return run
+    return run_bar
 
 
 def make_mujoco_bar(dt: float, joint: str = "", option: str = "") -> Peer:
     """Return MuJoCo's `frictionloss`, with further attributes of the joint and of the options."""
 
-    def run(bar: Bar, duration: float, start: float) -> PeerRun:
+    def run_bar(bar: Bar, duration: float, start: float) -> PeerRun:
         model = import_mujoco().MjModel.from_xml_string(f"""<mujoco><compiler angle="radian"/>
 <option timestep="{dt!r}" gravity="0 0 {-G}" {option}/><worldbody><body>
 <inertial pos="{bar.reach!r} 0 0" mass="{bar.mass!r}"
@@ -129,13 +129,13 @@ def make_mujoco_bar(dt: float, joint: str = "", option: str = "") -> Peer:
         data, every = import_mujoco().MjData(model), round(SAMPLE / dt)
         data.qpos[0] = start
 
-        def advance() -> float:
+        def advance_sample() -> float:
             import_mujoco().mj_step(model, data, nstep=every)
             return float(data.qpos[0])
 
-        return time_samples(advance, duration, dt)
+        return measure_samples(advance_sample, duration, dt)
 
-    return run
+    return run_bar
 
 
 def make_pinocchio_bar(dt: float, smooth: float, fall: float = 0.0) -> Peer:
@@ -145,13 +145,13 @@ def make_pinocchio_bar(dt: float, smooth: float, fall: float = 0.0) -> Peer:
     Python's, so its time is not that of Pinocchio.
     """
 
-    def run(bar: Bar, duration: float, start: float) -> PeerRun:
+    def run_bar(bar: Bar, duration: float, start: float) -> PeerRun:
         model = pin.buildModelFromXML(write_urdf(bar))
         model.gravity.linear = np.array([0.0, 0.0, 0.0 if bar.pull else -G])
         data, every = model.createData(), round(SAMPLE / dt)
         q, v, t = np.array([start]), np.zeros(1), 0.0
 
-        def advance() -> float:
+        def advance_sample() -> float:
             nonlocal q, v, t
             for _ in range(every):
                 dry = 1.0
@@ -164,9 +164,9 @@ def make_pinocchio_bar(dt: float, smooth: float, fall: float = 0.0) -> Peer:
                 q, t = q + dt * v, t + dt
             return float(q[0])
 
-        return PeerRun(time_samples(advance, duration, dt).q)
+        return PeerRun(measure_samples(advance_sample, duration, dt).q)
 
-    return run
+    return run_bar
 
 
 def make_drake_block(dt: float, approximation: str, stiction: float | None = None) -> Peer:
@@ -176,7 +176,7 @@ def make_drake_block(dt: float, approximation: str, stiction: float | None = Non
     those down the slope, from the block at rest.
     """
 
-    def run(bar: Bar, duration: float, start: float) -> PeerRun:
+    def run_bar(bar: Bar, duration: float, start: float) -> PeerRun:
         plants = importlib.import_module("pydrake.multibody.plant")
         tree = importlib.import_module("pydrake.multibody.tree")
         shapes = importlib.import_module("pydrake.geometry")
@@ -207,15 +207,15 @@ def make_drake_block(dt: float, approximation: str, stiction: float | None = Non
         place = plant.EvalBodyPoseInWorld(context, block).translation()[0]
         t = 1.0
 
-        def advance() -> float:
+        def advance_sample() -> float:
             nonlocal t
             t += SAMPLE
             simulator.AdvanceTo(t)
             return float(plant.EvalBodyPoseInWorld(context, block).translation()[0] - place)
 
-        return time_samples(advance, duration, dt)
+        return measure_samples(advance_sample, duration, dt)
 
-    return run
+    return run_bar
 
 
 def solve_swing(bar: Bar, duration: float, start: float) -> Array:
@@ -225,15 +225,15 @@ def solve_swing(bar: Bar, duration: float, start: float) -> Array:
     while t < duration and abs(weight := bar.weight * math.cos(x[0])) > bar.friction:
         sign = math.copysign(1.0, weight)
 
-        def rates(_: float, x: Array, sign: float = sign) -> list[float]:
+        def compute_rates(_: float, x: Array, sign: float = sign) -> list[float]:
             return [x[1], (bar.weight * math.cos(x[0]) - sign * bar.friction) / bar.inertia]
 
-        def stops(_: float, x: Array, sign: float = sign) -> float:
+        def compute_speed(_: float, x: Array, sign: float = sign) -> float:
             return float(sign * x[1])
 
-        stops.terminal, stops.direction = True, -1.0  # type: ignore[attr-defined]
+        compute_speed.terminal, compute_speed.direction = True, -1.0  # type: ignore[attr-defined]
         solved = solve_ivp(
-            rates, (t, duration), x, "DOP853", rtol=1e-12, atol=1e-14, events=stops,
+            compute_rates, (t, duration), x, "DOP853", rtol=1e-12, atol=1e-14, events=compute_speed,
             dense_output=True,
         )  # fmt: skip
         inside = (times > t) & (times <= solved.t[-1])

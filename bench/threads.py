@@ -11,7 +11,7 @@ import numpy as np
 
 from arm_emulator import Plant
 from bench.chains import write_chain
-from bench.measure import Task, compile_all, show_progress, time_interleaved
+from bench.measure import Task, compile_all, measure_interleaved, show_progress
 from bench.tables import format_table
 
 TITLE = "Two threads"
@@ -35,7 +35,7 @@ JOINTS = (3, 6, 7, 12, 24, 48)
 LOOP_STEPS = 4000  # in one measurement
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Time one step of each kind, interleaved."""
     joints, repetitions = ((3, 24), 7) if quick else (JOINTS, 21)
     loops: dict[str, Any] = {}
@@ -51,9 +51,9 @@ def run(quick: bool) -> dict[str, Any]:
         with show_progress("time per loop", len(joints)) as done:
             for n, kinds in scenes.items():
                 tasks = {name: _make_task(Plant(scene)) for name, scene in kinds.items()}
-                timings = time_interleaved(tasks, repetitions)
+                timings = measure_interleaved(tasks, repetitions)
                 loops[str(n)] = {
-                    name: asdict(timing.per(LOOP_STEPS)) for name, timing in timings.items()
+                    name: asdict(timing.divide_by(LOOP_STEPS)) for name, timing in timings.items()
                 }
                 done(f"N = {n}")
     return {"loops": loops}
@@ -68,7 +68,7 @@ def _make_task(plant: Plant) -> Task:
     )
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the section in Markdown."""
     lines = [
         "`lag` is the exchange of the paper's Fig. 6, `predict` the one that leads "

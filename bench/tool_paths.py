@@ -60,7 +60,7 @@ def list_poses(kind: str, home: Pose) -> list[Array]:
     return [home.p_WT + np.array(point) for point in points]
 
 
-def drive(
+def drive_tool(
     scene_name: str, kind: str, speed: float, comes_from: tuple[float, ...] | None = None
 ) -> PathRun:
     """Send the tool along a path, to whose first pose it comes from beside it [m] or rests."""
@@ -104,13 +104,13 @@ def drive(
     return PathRun(np.array(t) - t[0], np.array(tool), off, np.array(joints), end, reason)
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Measure all paths."""
     cases = [(s, k, v) for s in SCENES for k in KINDS for v in SPEEDS]
     rows = []
     with show_progress("paths", len(cases[:: 4 if quick else 1])) as done:
         for scene, kind, speed in cases[:: 4 if quick else 1]:
-            followed = drive(scene, kind, speed)
+            followed = drive_tool(scene, kind, speed)
             rows.append(
                 {
                     "scene": scene,
@@ -127,7 +127,7 @@ def run(quick: bool) -> dict[str, Any]:
     return {"rows": rows}
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the section of the report."""
     lines = [
         "300 mm, circles of 100 mm radius and corners rounded from 30 mm before, with "
@@ -144,12 +144,12 @@ def report(figures: dict[str, Any]) -> str:
     return "\n".join([*lines, format_table(heads, rows)])
 
 
-def picture(folder: Path) -> Path:
+def draw_picture(folder: Path) -> Path:
     """Draw one path of each kind: where the tool goes, speeds over limits, distance from it."""
     figure = make_figure(9.0, 7.0)
     axes = figure.subplots(3, len(KINDS))
     for column, kind in enumerate(KINDS):
-        followed = drive("ur5", kind, SPEEDS[-1])
+        followed = drive_tool("ur5", kind, SPEEDS[-1])
         path_axes, speeds, off = axes[:, column]
         side = 2 if kind == "corners" else 0
         path_axes.plot(followed.tool[:, 1], followed.tool[:, side], lw=1.0)

@@ -26,7 +26,7 @@ from arm_emulator.motion.model.input_shaper import ShapedMode
 from arm_emulator.motion.planner.tool_controller import make_controller
 from arm_emulator.servo.servo_config import ServoConfig
 from bench.measure import show_progress
-from bench.pictures import make_figure, save
+from bench.pictures import make_figure, save_picture
 from bench.tables import format_table
 
 TITLE = "Vibration after a fast line"
@@ -48,7 +48,7 @@ KINDS = ("none", "zv", "zvd")
 PICTURE = "vibration"
 
 
-def run(quick: bool, scenes: Sequence[str] = SCENES) -> dict[str, Any]:
+def run_bench(quick: bool, scenes: Sequence[str] = SCENES) -> dict[str, Any]:
     """Measure each scene with each servo, feed-forward and shaper."""
     rows, curves = [], {}
     chosen = list(scenes)[: 1 if quick else None]
@@ -58,9 +58,9 @@ def run(quick: bool, scenes: Sequence[str] = SCENES) -> dict[str, Any]:
                 arm = _ArmAtLine(scene, stiff)
                 for kind_of in ("torque", "full"):
                     for kind in KINDS:
-                        row = arm.follow(kind_of, kind)
+                        row = arm.follow_line(kind_of, kind)
                         if kind != "none":
-                            wrong = [arm.follow(kind_of, kind, factor) for factor in WRONG]
+                            wrong = [arm.follow_line(kind_of, kind, factor) for factor in WRONG]
                             row["wrong"] = [wrong_row["swing"] for wrong_row in wrong]
                         if kind_of == "torque" and stiff == STIFF:
                             curves[f"{arm.name}, {kind}"] = row["curve"]
@@ -91,7 +91,7 @@ class _ArmAtLine:
         vibration_modes = find_vibration_modes(Plant(self.scene), self.servo, self.scene.start)
         self.modes = [ShapedMode(mode.frequency, mode.damping) for mode in vibration_modes[:SHAPED]]
 
-    def follow(self, feedforward: str, kind: str, factor: float = 1.0) -> dict[str, Any]:
+    def follow_line(self, feedforward: str, kind: str, factor: float = 1.0) -> dict[str, Any]:
         """Measure a line shaped for modes whose frequencies are wrong by a factor."""
         modes = tuple(ShapedMode(factor * mode.frequency, mode.damping) for mode in self.modes)
         motion: MotionConfig = dataclasses.replace(
@@ -157,7 +157,7 @@ def _read_reference(run: OfflineRun) -> np.ndarray:
     return target
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the section of the report."""
     lines = [
         f"A line of {LENGTH * 1e3:g} mm along y at {SPEED:g} m/s, whose acceleration of "
@@ -187,7 +187,7 @@ def report(figures: dict[str, Any]) -> str:
     return "\n".join([*lines, format_table(heads, rows)])
 
 
-def draw(figures: dict[str, Any], folder: Path) -> None:
+def draw_figures(figures: dict[str, Any], folder: Path) -> None:
     """Draw the tool about its rest over time, a scene beside the other."""
     names = list(dict.fromkeys(name.rpartition(", ")[0] for name in figures["curves"]))
     figure = make_figure(3.6 * len(names), 3.2)
@@ -202,14 +202,14 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
         axes.grid(alpha=0.3)
     figure.axes[0].set_ylabel("height of the tool above its rest [mm]")
     figure.axes[0].legend(title="shaper")
-    save(figure, folder, PICTURE)
+    save_picture(figure, folder, PICTURE)
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="bench.vibration", description=TITLE)
     parser.add_argument("scenes", nargs="*", default=SCENES, help="names or files")
-    print(report(run(False, parser.parse_args().scenes)))
+    print(write_report(run_bench(False, parser.parse_args().scenes)))
 
 
 if __name__ == "__main__":

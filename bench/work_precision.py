@@ -19,13 +19,13 @@ from bench.measure import (
     compile_all,
     make_wall_time,
     map_on_all_cores,
+    measure_interleaved,
     pause_collector,
     show_progress,
-    time_interleaved,
 )
 from bench.motion import SERVO_PERIOD, make_sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm, end_of
-from bench.work_precision_report import FROM_PYTHON, INPUTS, draw, report
+from bench.work_precision_report import FROM_PYTHON, INPUTS, draw_figures, write_report
 from oracles.reference import solve_positions
 
 TITLE = "Work and precision"
@@ -75,7 +75,7 @@ CASES = {
 }
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Measure all cases."""
     cases = dict(list(CASES.items())[:1] + list(CASES.items())[-1:]) if quick else CASES
     scenes = {
@@ -87,7 +87,7 @@ def run(quick: bool) -> dict[str, Any]:
     motions = [(key, seed) for key in cases for seed in range(INPUTS)]
     truths = dict(zip(motions, map_on_all_cores("reference", _compute_truth, motions), strict=True))
     return {
-        key: _measure(
+        key: _measure_case(
             case,
             {scheme: scenes[key, scheme] for scheme in SCHEMES},
             [truths[key, seed] for seed in range(INPUTS)],
@@ -130,11 +130,11 @@ class _Series:
     called: bool = False  # from Python in every period
     ends: dict[int, Array | None] = field(default_factory=dict)
 
-    def task(self, voltages: list[Array], period: float) -> Task:
+    def make_task(self, voltages: list[Array], period: float) -> Task:
         """Return the task of a motion, the `repetition`th of the voltages."""
         steps, machine = round(period / self.dt), self.machine
 
-        def work(repetition: int) -> None:
+        def run_steps(repetition: int) -> None:
             rows = voltages[repetition]
             if self.called:
                 assert isinstance(machine, Plant)
@@ -144,10 +144,10 @@ class _Series:
             else:
                 self.ends[repetition] = end_of(machine, rows, steps)
 
-        return Task(work, lambda _: machine.reset(), self.about)
+        return Task(run_steps, lambda _: machine.reset(), self.about)
 
 
-def _measure(
+def _measure_case(
     case: MotionCase, scenes: Mapping[str, Scene], truths: list[Array], quick: bool
 ) -> dict[str, Any]:
     scene = scenes["rosenbrock"]
@@ -170,11 +170,11 @@ def _measure(
                 series.append(_Series(f"MuJoCo {integrator}", dt, about, arm))
 
     tasks = {
-        f"{peer_series.name}, {peer_series.dt:g} s": peer_series.task(voltages, case.period)
+        f"{peer_series.name}, {peer_series.dt:g} s": peer_series.make_task(voltages, case.period)
         for peer_series in series
     }
     with show_progress("work and precision", len(tasks) * INPUTS) as done:
-        timings = time_interleaved(tasks, INPUTS, lambda name: done(f"{case.title}: {name}"))
+        timings = measure_interleaved(tasks, INPUTS, lambda name: done(f"{case.title}: {name}"))
     points: dict[str, list[dict[str, Any]]] = {}
     for series_of in series:
         errors = [
@@ -190,7 +190,7 @@ def _measure(
             }
         )
     if not quick:
-        points |= _time_scipy(case, scene, voltages[0], truths[0])
+        points |= _measure_scipy(case, scene, voltages[0], truths[0])
     return {
         "title": case.title,
         "period": case.period,
@@ -221,7 +221,7 @@ def _check_agreement(
     return {"mujoco": mujoco, "ours": ours, "agree": max(mujoco, ours) < AGREEMENT}
 
 
-def _time_scipy(case: MotionCase, scene: Scene, voltages: Array, truth: Array) -> dict[str, Any]:
+def _measure_scipy(case: MotionCase, scene: Scene, voltages: Array, truth: Array) -> dict[str, Any]:
     """Time Pinocchio's dynamics in SciPy's integrators, once each: they take seconds."""
     points: dict[str, list[dict[str, Any]]] = {}
     runs = [(method, rtol) for method in SCIPY_METHODS for rtol in case.rtol]
@@ -260,19 +260,22 @@ def _compare_at_error(points: Mapping[str, list[dict[str, Any]]], target: float)
     times = {name: find_time_at_error(values, target) for name, values in points.items()}
     reached = {name: time for name, time in times.items() if time is not None}
 
-    def best(choose: Callable[[str], bool]) -> dict[str, Any] | None:
+    def find_fastest(choose: Callable[[str], bool]) -> dict[str, Any] | None:
         names = [name for name in reached if choose(name)]
         if not names:
             return None
         name = min(names, key=reached.__getitem__)
         return {"name": name, "time": reached[name]}
 
-    ours, mujoco = best(lambda n: n in SCHEMES), best(lambda n: n.startswith("MuJoCo"))
+    ours, mujoco = (
+        find_fastest(lambda n: n in SCHEMES),
+        find_fastest(lambda n: n.startswith("MuJoCo")),
+    )
     return {
         "ours": ours,
-        "ours_from_python": best(lambda n: n == FROM_PYTHON),
+        "ours_from_python": find_fastest(lambda n: n == FROM_PYTHON),
         "mujoco": mujoco,
-        "scipy": best(lambda n: n.startswith("Pinocchio")),
+        "scipy": find_fastest(lambda n: n.startswith("Pinocchio")),
         "ratio": mujoco["time"] / ours["time"] if ours and mujoco else None,
     }
 

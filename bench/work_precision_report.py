@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.measure import WallTime
-from bench.pictures import COLOURS, PEERS, make_figure, save
+from bench.pictures import COLOURS, PEERS, make_figure, save_picture
 from bench.tables import format_table
 
 INPUTS = 3  # motions; the error is the root mean square over them
@@ -14,16 +14,16 @@ FROM_PYTHON = "rosenbrock, called every period"
 PRINTED_STEPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 
 
-def draw(figures: dict[str, Any], folder: Path) -> None:
+def draw_figures(figures: dict[str, Any], folder: Path) -> None:
     """Draw error against wall time, the robots in one picture, the other cases in a second."""
     robots = [key for key in figures if key in ("three_axis", "ur5", "panda")]
     others = [key for key in figures if key not in robots]
     for name, keys in (("work_precision", robots), ("work_precision_more", others)):
         if keys:
-            _draw([figures[key] for key in keys], folder, name)
+            _draw_cases([figures[key] for key in keys], folder, name)
 
 
-def _draw(cases: list[dict[str, Any]], folder: Path, name: str) -> None:
+def _draw_cases(cases: list[dict[str, Any]], folder: Path, name: str) -> None:
     figure = make_figure(5.2 * len(cases), 5.6)
     panels = figure.subplots(1, len(cases), squeeze=False)[0]
     for axes, case in zip(panels, cases, strict=True):
@@ -47,10 +47,10 @@ def _draw(cases: list[dict[str, Any]], folder: Path, name: str) -> None:
     panels[0].set_ylabel("wall time per simulated second [s]")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
-    save(figure, folder, name)
+    save_picture(figure, folder, name)
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the section in Markdown."""
     lines = [
         "Error is the difference of the link angles from the reference (SciPy DOP853 on "

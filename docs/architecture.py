@@ -23,7 +23,7 @@ BANDS = ("#eceff1", "#ffffff")
 # ------------------------------------------------------------------------------------------ rooms
 
 
-def floors() -> list[list[str]]:
+def list_floors() -> list[list[str]]:
     """Return the rooms of each floor, from the top, by the contract of layers.
 
     The public names lie above all rooms of the namespace.
@@ -37,7 +37,7 @@ def floors() -> list[list[str]]:
     return rooms
 
 
-def sources(room: str) -> list[Path]:
+def list_sources(room: str) -> list[Path]:
     """Return the Python files of a room.
 
     Raises:
@@ -64,13 +64,13 @@ def _list_imports(file: Path) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-def imports_of_rooms() -> dict[str, set[str]]:
+def list_imports_of_rooms() -> dict[str, set[str]]:
     """Return the rooms that each room imports."""
-    rooms = [room for floor in floors() for room in floor]
+    rooms = [room for floor in list_floors() for room in floor]
     imports: dict[str, set[str]] = {}
     for room in rooms:
         imports[room] = set()
-        for file in sources(room):
+        for file in list_sources(room):
             for name in _list_imports(file):
                 parts = name.split(".")
                 prefixes = (".".join(parts[:k]) for k in range(len(parts), 0, -1))
@@ -80,9 +80,9 @@ def imports_of_rooms() -> dict[str, set[str]]:
     return imports
 
 
-def rooms_picture() -> str:
+def draw_rooms() -> str:
     """Draw the matrix of imports: a row imports the columns that have a dot."""
-    rows, imports = floors(), imports_of_rooms()
+    rows, imports = list_floors(), list_imports_of_rooms()
     rooms = [room for floor in rows for room in floor]
     cell, left, top = 22, 260, 190
     width, height = left + cell * len(rooms) + 120, top + cell * len(rooms) + 20
@@ -380,7 +380,7 @@ def _write_svg(width: int, height: int, title: str, parts: Sequence[str]) -> str
     )
 
 
-def pictures() -> Iterator[tuple[str, str]]:
+def draw_pictures() -> Iterator[tuple[str, str]]:
     """Yield the path below docs/ and the text of each picture."""
-    yield "contribute/rooms.svg", rooms_picture()
+    yield "contribute/rooms.svg", draw_rooms()
     yield "contribute/tick.svg", tick_picture()

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from docs import architecture, tables
-from docs.hooks import DOCS, ROOT, Missing, code_block, page_files
+from docs.hooks import DOCS, ROOT, Missing, list_page_files, read_code_block
 
 PLACE = re.compile(
     r"^(<!-- generated: (\w+)(?: (\S+))? -->\n)(.*?)^(<!-- end generated -->)$", re.M | re.S
@@ -77,7 +77,7 @@ def _list_doors(which: str) -> str:
     heads = ["door", "control law", "time", "measurements", "true state", "record",
              "needs beside Python and a compiler"]  # fmt: skip
     rows = [heads, ["---"] * len(heads)]
-    for _, page in sorted(page_files().items(), reverse=True):
+    for _, page in sorted(list_page_files().items(), reverse=True):
         if stated := DOOR.search(page.read_text()):
             at = posixpath.relpath(page.relative_to(ROOT).as_posix(), "docs/reference")
             rows.append([f"[{stated[1]}]({at})", *stated[2].split(" | ")])
@@ -92,7 +92,7 @@ def _list_faults_at_doors(_: str) -> str:
     faults = json.loads((ROOT / "packages/test/faults_at_doors.json").read_text())
     words: dict[str, int] = {}  # of refusals, numbered
 
-    def cell(outcome: str) -> str:
+    def write_cell(outcome: str) -> str:
         if not outcome.startswith("refused: "):
             return outcome
         line = outcome.removeprefix("refused: ")
@@ -100,7 +100,7 @@ def _list_faults_at_doors(_: str) -> str:
 
     rows = [["door", *FAULT_HEADS.values()], ["---"] * (1 + len(FAULT_HEADS))]
     for door in sorted(faults, key=lambda door: door.strip("`").lower()):
-        rows.append([door, *(cell(faults[door][fault]) for fault in FAULT_HEADS)])
+        rows.append([door, *(write_cell(faults[door][fault]) for fault in FAULT_HEADS)])
     lines = [f"| {' | '.join(row)} |" for row in rows]
     return "\n".join([*lines, "", *(f"{number}. `{line}`" for line, number in words.items())])
 
@@ -116,9 +116,9 @@ def _write_campaign_table(table: str) -> str:
 
 def _write_parameters(_: str) -> str:
     """Return a table for each node."""
-    from docs.parameter_tables import parameters  # which imports ROS
+    from docs.parameter_tables import write_parameters  # which imports ROS
 
-    return parameters()
+    return write_parameters()
 
 
 GENERATORS: dict[str, Callable[[str], str]] = {
@@ -126,48 +126,48 @@ GENERATORS: dict[str, Callable[[str], str]] = {
     "command_keys": _command_keys,
     "commands": _write_help,
     "doors": _list_doors,
-    "faults": tables.faults,
+    "faults": tables.list_faults,
     "faults_at_doors": _list_faults_at_doors,
-    "file": code_block,
-    "inputs": tables.inputs,
+    "file": read_code_block,
+    "inputs": tables.list_inputs,
     "interfaces": _write_interfaces,
-    "joint_keys": tables.joint_keys,
-    "keys": tables.keys,
-    "outputs": tables.outputs,
+    "joint_keys": tables.list_joint_keys,
+    "keys": tables.list_keys,
+    "outputs": tables.list_outputs,
     "parameters": _write_parameters,
-    "parts": tables.parts,
-    "scene_keys": tables.scene_keys,
-    "schemes": tables.schemes,
-    "sensors": tables.sensors,
+    "parts": tables.list_parts,
+    "scene_keys": tables.list_scene_keys,
+    "schemes": tables.list_schemes,
+    "sensors": tables.list_sensors,
     "tick": lambda _: architecture.tick_table(),
 }
 
 
-def fill(text: str) -> str:
+def fill_page(text: str) -> str:
     """Return the text of a page with its generated parts as the code has them.
 
     Raises:
         Missing: a generator or its subject does not exist, or a part has no end.
     """
 
-    def part(place: re.Match[str]) -> str:
+    def write_part(place: re.Match[str]) -> str:
         if place[2] not in GENERATORS:
             raise Missing(f"generator {place[2]}; valid: {', '.join(GENERATORS)}")
         return f"{place[1]}\n{GENERATORS[place[2]](place[3] or '').strip()}\n\n{place[5]}"
 
-    filled, count = PLACE.subn(part, text)
+    filled, count = PLACE.subn(write_part, text)
     if count != len(BEGIN.findall(text)):
         raise Missing("<!-- end generated --> of a generated part")
     return filled
 
 
-def outdated_pages() -> Iterator[tuple[Path, str]]:
+def list_outdated_pages() -> Iterator[tuple[Path, str]]:
     """Yield the file and the new text of each page or picture that is outdated."""
-    for page in page_files().values():
+    for page in list_page_files().values():
         text = page.read_text(encoding="utf-8")
-        if (filled := fill(text)) != text:
+        if (filled := fill_page(text)) != text:
             yield page, filled
-    for path, text in architecture.pictures():
+    for path, text in architecture.draw_pictures():
         picture = DOCS / path
         if not picture.is_file() or picture.read_text(encoding="utf-8") != text:
             yield picture, text
@@ -182,7 +182,7 @@ def main(check: bool) -> int:
     Returns:
         1 if `check` found a page, else 0.
     """
-    outdated = dict(outdated_pages())
+    outdated = dict(list_outdated_pages())
     for path, text in outdated.items():
         state = "behind the code; run make tables" if check else "written"
         print(f"{path.relative_to(ROOT)}: {state}")

@@ -32,7 +32,7 @@ class Missing(Exception):
     """A page names what is not there."""
 
 
-def page_files() -> dict[str, Path]:
+def list_page_files() -> dict[str, Path]:
     """Return the file of each page of docs/ and of the packages, by its page in the site."""
     return {
         path.relative_to(folder).as_posix(): path
@@ -41,7 +41,7 @@ def page_files() -> dict[str, Path]:
     }
 
 
-def code_block(place: str) -> str:
+def read_code_block(place: str) -> str:
     """Return a file of the repository as a block of code.
 
     Raises:
@@ -53,14 +53,14 @@ def code_block(place: str) -> str:
     return f"```````{LANGUAGES.get(file.suffix, 'text')}\n{file.read_text().rstrip()}\n```````"
 
 
-def published_path(target: str) -> str:
+def find_published_path(target: str) -> str:
     """Return the page of the site for a file or folder of the repository."""
     if match := PAGE.match(target):
         return match[1]
     return TOP.get(target) or f"source/{target}.md"
 
 
-def relink(text: str, at: str, page: str) -> tuple[str, set[str]]:
+def relink_text(text: str, at: str, page: str) -> tuple[str, set[str]]:
     """Return a text whose links hold in the site, and what it links outside of docs/.
 
     Args:
@@ -70,21 +70,21 @@ def relink(text: str, at: str, page: str) -> tuple[str, set[str]]:
     """
     outside: set[str] = set()
 
-    def link(match: re.Match[str]) -> str:
+    def replace_link(match: re.Match[str]) -> str:
         if "://" in match[1] or match[1].startswith("mailto:"):
             return match[0]
         target = posixpath.normpath(posixpath.join(posixpath.dirname(at), match[1]))
         if not PAGE.match(target) and target not in TOP:
             outside.add(target)
-        path = posixpath.relpath(published_path(target), posixpath.dirname(page) or ".")
+        path = posixpath.relpath(find_published_path(target), posixpath.dirname(page) or ".")
         return f"{path}{match[2] or ''}"
 
     parts = re.split(r"(^```.*?^```[^\n]*$)", text, flags=re.M | re.S)
-    parts[::2] = [LINK.sub(link, part) for part in parts[::2]]
+    parts[::2] = [LINK.sub(replace_link, part) for part in parts[::2]]
     return "".join(parts), outside
 
 
-def source_page(target: str) -> str:
+def find_source_page(target: str) -> str:
     """Return the page that shows a file of the repository, or lists a folder.
 
     Raises:
@@ -96,23 +96,23 @@ def source_page(target: str) -> str:
             ["git", "ls-files", target], cwd=ROOT, capture_output=True, text=True, check=True
         ).stdout.split()
         return f"# {target}\n\n" + "\n".join(f"- `{file}`" for file in listed)
-    return f"# {target}\n\n{code_block(target)}"
+    return f"# {target}\n\n{read_code_block(target)}"
 
 
 def expand_pages(nav: Any) -> Any:
     """Return a navigation in which a pattern is the list of its pages that no other entry names."""
-    named, pages = set(_list_entries(nav)), sorted(page_files())
+    named, pages = set(_list_entries(nav)), sorted(list_page_files())
 
-    def listed(entry: Any) -> Any:
+    def expand_entry(entry: Any) -> Any:
         if isinstance(entry, dict):
-            return {title: listed(below) for title, below in entry.items()}
+            return {title: expand_entry(below) for title, below in entry.items()}
         if isinstance(entry, list):
-            return [page for below in entry for page in _convert_to_list(listed(below))]
+            return [page for below in entry for page in _convert_to_list(expand_entry(below))]
         if "*" in entry:
             return [page for page in fnmatch.filter(pages, entry) if page not in named]
         return entry
 
-    return listed(nav)
+    return expand_entry(nav)
 
 
 def _convert_to_list(value: Any) -> list[Any]:
@@ -140,17 +140,19 @@ def on_files(files: Any, config: Any) -> Any:
     from mkdocs.structure.files import File, InclusionLevel
 
     linked: set[str] = set()
-    for page, path in page_files().items():
+    for page, path in list_page_files().items():
         if DOCS not in path.parents:
             files.append(File.generated(config, page, content=path.read_text()))
-        linked |= relink(path.read_text(), path.relative_to(ROOT).as_posix(), page)[1]
+        linked |= relink_text(path.read_text(), path.relative_to(ROOT).as_posix(), page)[1]
     for top, page in TOP.items():
         if page != "index.md":
-            text, outside = relink((ROOT / top).read_text(), top, page)
+            text, outside = relink_text((ROOT / top).read_text(), top, page)
             files.append(File.generated(config, page, content=text))
             linked |= outside
     for target in sorted(linked):
-        source = File.generated(config, published_path(target), content=source_page(target))
+        source = File.generated(
+            config, find_published_path(target), content=find_source_page(target)
+        )
         source.inclusion = InclusionLevel.NOT_IN_NAV
         files.append(source)
     return files
@@ -161,4 +163,4 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     place = page.file.src_uri
     if place.startswith("source/") or (place in TOP.values() and place != "index.md"):
         return markdown
-    return relink(markdown, page_files()[place].relative_to(ROOT).as_posix(), place)[0]
+    return relink_text(markdown, list_page_files()[place].relative_to(ROOT).as_posix(), place)[0]

@@ -17,7 +17,7 @@ Rows = Iterator[list[str]]
 HEAD = "| parameter | default | range | meaning |\n|---|---|---|---|"
 
 
-def parameters() -> str:
+def write_parameters() -> str:
     """Return a table for each node."""
     motion = _list_numbers(DriveParameters, "joints.NAME.", ())
     modes = _list_numbers(ShapedMode, "modes.NAME.", ())

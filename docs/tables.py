@@ -42,7 +42,7 @@ IN_C = {READINGS: "`readings`, a row", FURTHER: "`further`, a row"}
 UNITS = {COMMAND: "that of the command"}
 
 
-def parts(scene_page: str) -> str:
+def list_parts(scene_page: str) -> str:
     """Return all parts of joints, with their pages.
 
     Args:
@@ -62,7 +62,7 @@ def parts(scene_page: str) -> str:
     )
 
 
-def sensors(_: str) -> str:
+def list_sensors(_: str) -> str:
     """Return all sensors, with their pages in the folder of the page."""
     rows = []
     for kind in SENSORS:
@@ -77,7 +77,7 @@ def sensors(_: str) -> str:
     return "\n".join(_write_table(("section", "measures", "page"), rows))
 
 
-def schemes(folder: str) -> str:
+def list_schemes(folder: str) -> str:
     """Return all schemes, with their pages in a folder."""
     rows = []
     for k, scheme in enumerate(SCHEMES.values()):
@@ -91,7 +91,7 @@ def schemes(folder: str) -> str:
     return "\n".join(_write_table(head, rows))
 
 
-def faults(_: str) -> str:
+def list_faults(_: str) -> str:
     """Return the kinds of faults of parts, and of numbers of several parts."""
     owners = {"joints": "joint", "links": "link", "imus": "unit", "": "machine"}
     head = ("fault", "of a", "what happens", "magnitude m", "numbers x and what they become")
@@ -114,7 +114,7 @@ def _describe_changes(fault: Fault) -> tuple[str, str]:
     return f"{number.default:g}{unit}, from {low:g} to {high:g}", "; ".join(sets)
 
 
-def inputs(_: str) -> str:
+def list_inputs(_: str) -> str:
     """Return all inputs of motors."""
     rows = [
         [
@@ -130,13 +130,13 @@ def inputs(_: str) -> str:
     return "\n".join(_write_table(("input", "what", "of", "unit", "`arm.h`", "CiA 402"), rows))
 
 
-def outputs(_: str) -> str:
+def list_outputs(_: str) -> str:
     """Return all outputs of parts."""
     head = ("output", "what", "of", "unit", "`arm.h`", "`motor_states`", "FMU", "CiA 402")
     return "\n".join(_write_table(head, map(_write_output_row, KNOWN.values())))
 
 
-def keys(module: str) -> str:
+def list_keys(module: str) -> str:
     """Return the keys of the parts of a file, by their sections."""
     kinds = [owner for owner in OWNERS if owner.__module__.rpartition(".")[2] == module]
     if not kinds:
@@ -145,7 +145,7 @@ def keys(module: str) -> str:
     return _write_keys_table(owners, (row for kind in kinds for row in _list_key_rows(kind)))
 
 
-def joint_keys(folder: str) -> str:
+def list_joint_keys(folder: str) -> str:
     """Return the keys of a joint: of parts without a page all of them, of others their sections.
 
     Args:
@@ -169,7 +169,7 @@ def joint_keys(folder: str) -> str:
     return _write_keys_table("joints", rows)
 
 
-def scene_keys(which: str) -> str:
+def list_scene_keys(which: str) -> str:
     """Return the keys of a scene outside its joints: of the machine, or of time."""
     keys = {"machine": scene_keys_of.MACHINE, "time": scene_keys_of.TIME}[which]
     head = ("key", "unit", "range", "if absent", "effect")

@@ -34,7 +34,7 @@ from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.parts.motors.torque_motor import TorqueMotor
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from oracles import mixtures
-from oracles.mixtures import BRAKED, PERIOD, STEPS, Numbers, Rng, run
+from oracles.mixtures import BRAKED, PERIOD, STEPS, Numbers, Rng, run_rows
 from oracles.part_samples import draw_part, draw_scaled
 from oracles.random_chain import list_moving_joints, write_random_chain
 from oracles.smoothed_reference import InputRow, SmoothedMachine, Smoothing
@@ -140,7 +140,7 @@ def compute_truth(scene: Scene, rows: Array, smoothing: Smoothing) -> Array:
             )
             pieces.append(InputRow(row, closed, (end - begin) * dt))
         ends.append(len(pieces) - 1)
-    return SmoothedMachine(scene, smoothing).positions(pieces)[ends]
+    return SmoothedMachine(scene, smoothing).compute_positions(pieces)[ends]
 
 
 @dataclass(frozen=True)
@@ -191,30 +191,32 @@ class AloneVerdict:
         }
 
 
-def judge(seed: int) -> AloneVerdict:
+def judge_mixture(seed: int) -> AloneVerdict:
     """Draw a mixture and hold the claims against it."""
     schemes = LOCATING_SCHEMES[seed % 2], SCHEMES[seed // 2 % len(SCHEMES)]
     with tempfile.TemporaryDirectory() as folder:
         file = write_sample(Path(folder), seed)
 
-        def load(steps: int, events: str) -> Scene:
+        def load_mixture(steps: int, events: str) -> Scene:
             scheme = schemes[0 if events == "located" else 1]
             integrator = {"scheme": scheme, "events": events, "dt": PERIOD / steps}
             return load_scene(file, {"integrator": integrator})
 
-        first = load(STEPS[0], "located")
+        first = load_mixture(STEPS[0], "located")
         parts = sorted({type(part).__name__ for joint in first.joints for part in joint.parts})
         rows = draw_commands(first, seed)
         truth, sharper = compute_truth(first, rows, Smoothing()), 0.0
         try:
-            located, q = mixtures.converge(
-                seed, parts, lambda steps: run(load(steps, "located"), seed, rows, steps)
+            located, q = mixtures.find_converged(
+                seed,
+                parts,
+                lambda steps: run_rows(load_mixture(steps, "located"), seed, rows, steps),
             )
             if np.abs(q - truth).max() > RESOLVED:
                 blunt, truth = truth, compute_truth(first, rows, SHARPER)
                 sharper = float(np.abs(truth - blunt).max())
             coarse, fine, finer = (
-                _find_worst([run(load(n, "step"), seed, rows, n) for n in steps], q)
+                _find_worst([run_rows(load_mixture(n, "step"), seed, rows, n) for n in steps], q)
                 for steps in (COARSE, FINE, FINER)
             )
             error, left = (
@@ -222,7 +224,7 @@ def judge(seed: int) -> AloneVerdict:
             )
             lanes = 0.0
             if seed % 4 == 0:
-                lanes = mixtures.compare_lanes(load(COARSE[1], "step"), seed, rows)
+                lanes = mixtures.compare_lanes(load_mixture(COARSE[1], "step"), seed, rows)
         except Diverged as fault:
             return AloneVerdict(seed, parts, schemes, note=str(fault))
     return AloneVerdict(

@@ -102,7 +102,7 @@ class ArmOutcome:
     moves: list[ToolMove] = field(default_factory=list)
     refused: str = ""
 
-    def of(self, distance: str) -> list[ToolMove]:
+    def select_moves(self, distance: str) -> list[ToolMove]:
         """Return the moves of one distance."""
         return [tool_move for tool_move in self.moves if tool_move.distance == distance]
 
@@ -122,7 +122,7 @@ def list_arms() -> dict[str, Path | str]:
     return robots
 
 
-def examine(name: str, robot: Path | str, count: int) -> ArmOutcome:
+def examine_arm(name: str, robot: Path | str, count: int) -> ArmOutcome:
     """Make a scene of an arm and send it on moves."""
     outcome = ArmOutcome(name)
     with tempfile.TemporaryDirectory() as folder:
@@ -145,7 +145,7 @@ def examine(name: str, robot: Path | str, count: int) -> ArmOutcome:
             for _ in range(count):
                 pair = draw_reachable(kinematics, length, rng)
                 if pair is not None:
-                    outcome.moves.append(move(scene, gains, key, *pair))
+                    outcome.moves.append(move_arm(scene, gains, key, *pair))
     return outcome
 
 
@@ -188,7 +188,7 @@ def draw_reachable(
     return None
 
 
-def move(scene: Scene, gains: Gains, distance: str, q: Array, goal: Array) -> ToolMove:
+def move_arm(scene: Scene, gains: Gains, distance: str, q: Array, goal: Array) -> ToolMove:
     """Send the arm from one pose to another, and watch it all the way.
 
     The poses are drawn without regard to the arm's own parts, so it may run into itself.

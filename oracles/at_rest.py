@@ -110,29 +110,29 @@ class RestEquations:
         )
         self.ratio = np.array([abs(joint.gear.ratio) for joint in scene.joints])
         poses = np.random.default_rng(0).uniform(-REACH, REACH, (200, len(scene.joints)))
-        self.dry = SHARE * np.mean([np.abs(self.weight(q)) for q in poses], axis=0) + 1e-2
-        self.inertia = np.mean([np.diag(self.mass(q)) for q in poses], axis=0)
+        self.dry = SHARE * np.mean([np.abs(self.compute_weight(q)) for q in poses], axis=0) + 1e-2
+        self.inertia = np.mean([np.diag(self.compute_mass(q)) for q in poses], axis=0)
 
-    def mass(self, q: Array) -> Array:
+    def compute_mass(self, q: Array) -> Array:
         """Return M with the rotors that turn with their links."""
         M = pin.crba(self.model, self.data, q)
         return np.asarray(np.triu(M) + np.triu(M, 1).T + np.diag(self.carried))
 
-    def weight(self, q: Array) -> Array:
+    def compute_weight(self, q: Array) -> Array:
         """Return the torques that hold the links."""
         return np.array(pin.computeGeneralizedGravity(self.model, self.data, q))
 
-    def residual(self, case: RestCase, q: Array, v: Array) -> float:
+    def compute_residual(self, case: RestCase, q: Array, v: Array) -> float:
         """Return by how much torques at q do not add up, of a weight, where v came from rest."""
-        weight = self.weight(q) * (not case.weightless)
-        left = -weight - self.mass(q) @ v / (PARTS * INSTANT)  # that friction takes
-        slides, holds = self._friction(case)
+        weight = self.compute_weight(q) * (not case.weightless)
+        left = -weight - self.compute_mass(q) @ v / (PARTS * INSTANT)  # that friction takes
+        slides, holds = self._compute_friction(case)
         off = np.where(
             v == 0.0, np.maximum(np.abs(left) - holds, 0.0), np.abs(left - np.sign(v) * slides)
         )
         return float(off.max() / (self.dry.max() / SHARE))
 
-    def _friction(self, case: RestCase) -> tuple[Array, Array]:
+    def _compute_friction(self, case: RestCase) -> tuple[Array, Array]:
         """Return what friction takes of joints that begin to move, and what it holds at most."""
         # Nothing loads the gears yet, and what a rotor behind an elastic one does is not felt yet.
         felt = self.dry * (1.0 if case.place == "link" else self.carried > 0.0)
@@ -172,7 +172,7 @@ def make_case_scene(case: RestCase, equations: RestEquations, dt: float | None =
     return load_scene(case.scene, {**overrides, "varied": [f"joints.*.{key}.*"]})
 
 
-def judge(case: RestCase, poses: int, equations: RestEquations) -> list[str]:
+def judge_poses(case: RestCase, poses: int, equations: RestEquations) -> list[str]:
     """Return in a line each what is wrong in so many random poses."""
     rng = np.random.default_rng(zlib.crc32(repr(case).encode()))
     plant = Plant(make_case_scene(case, equations))
@@ -188,7 +188,7 @@ def judge(case: RestCase, poses: int, equations: RestEquations) -> list[str]:
             continue
         instant.reset(q)
         instant.advance(still, PARTS)
-        off = equations.residual(case, q, instant.state.v)
+        off = equations.compute_residual(case, q, instant.state.v)
         if off > RESOLVED:
             wrong.append(f"{case}: at {q.tolist()}: torques differ by {off:.2g}")
     return wrong

@@ -38,7 +38,7 @@ class Bam:
         at_rest = self.Kcs + abs(self.Kes * te - self.Kms * tm) + quadratic
         return float(self.Kc + abs(self.Ke * te - self.Km * tm) + share * at_rest)
 
-    def section(self, viscous: float) -> dict[str, float]:
+    def make_section(self, viscous: float) -> dict[str, float]:
         """Return the section of the scene, at the same shaft."""
         return {
             "viscous": viscous, "coulomb": self.Kc, "breakaway": self.Kc + self.Kcs,

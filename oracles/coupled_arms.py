@@ -74,7 +74,9 @@ class Lagrange:
         self.data = self.model.createData()
         self.C, self.q_0 = C, q_0
 
-    def accelerations(self, p: Array, v: Array, T: Array, tau: Array | None = None) -> Array:
+    def compute_accelerations(
+        self, p: Array, v: Array, T: Array, tau: Array | None = None
+    ) -> Array:
         """Return those of the shafts (N,) under torques of theirs and of joints (L,)."""
         C, (L, N) = self.C, self.C.shape
         q = C @ p + self.q_0

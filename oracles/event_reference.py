@@ -38,23 +38,23 @@ class MachineWithModes(ReferenceMachine):
         self.direction = np.zeros(self.N)
         self.side = np.zeros(self.N)
 
-    def currents(self, x: Array, V: Array) -> tuple[Array, Array]:
+    def compute_currents(self, x: Array, V: Array) -> tuple[Array, Array]:
         """Return the currents in these modes, and what is left of the voltage to raise them."""
         i, _, wm, _, v, integral = x
         wm = np.where(self.rigid, v / self.Ng, wm)
-        V, _ = self.applied(i, wm, integral, V)
+        V, _ = self.compute_applied(i, wm, integral, V)
         i = np.where(self.inductive, i, (V - self.Kb * wm) / self.R)
         i = np.where(self.side != 0.0, self.side * np.where(self.side != 0.0, self.limit, 0.0), i)
         return i, V - self.R * i - self.Kb * wm
 
-    def forces(self, x: Array, V: Array) -> tuple[Array, Array, Array]:
+    def compute_forces(self, x: Array, V: Array) -> tuple[Array, Array, Array]:
         """Return the gears' torques, accelerations, and what the locks hold."""
         _, tm, wm, q, v, _ = x
-        i, _ = self.currents(x, V)
+        i, _ = self.compute_currents(x, V)
         T = np.where(
             self.rigid,
             self.Kt * i / self.Ng,
-            self.gear_torques(tm, wm, q, v),
+            self.compute_gear_torques(tm, wm, q, v),
         )
         M = pin.crba(self.model, self.data, q)
         M = np.triu(M) + np.triu(M, 1).T + np.diag(self.armature)
@@ -65,23 +65,23 @@ class MachineWithModes(ReferenceMachine):
         a[free] = np.linalg.solve(M[np.ix_(free, free)], tau[free])
         return T, a, np.where(self.locked, tau - M @ a, 0.0)
 
-    def motor_accelerations(self, i: Array, T: Array, a: Array) -> Array:
+    def compute_motor_accelerations(self, i: Array, T: Array, a: Array) -> Array:
         """Return how the motors accelerate under currents and gears' torques [rad/s2]."""
         elastic: Array = (self.Kt * i - self.Ng * T) / self.Mm
         return np.where(self.elastic, elastic, a / self.Ng)
 
-    def rates(self, t: float, flat: Array, V: Array) -> Array:
+    def compute_rates(self, t: float, flat: Array, V: Array) -> Array:
         """Return dx/dt in these modes, flat."""
         x = flat.reshape(ROWS, self.N)
-        i, surplus = self.currents(x, V)
-        T, a, _ = self.forces(x, V)
+        i, surplus = self.compute_currents(x, V)
+        T, a, _ = self.compute_forces(x, V)
         dx = np.zeros((ROWS, self.N))
         np.divide(surplus, self.L, out=dx[0], where=self.inductive & (self.side == 0.0))
         dx[1] = np.where(self.elastic, x[2], 0.0)
-        dx[2] = np.where(self.elastic, self.motor_accelerations(i, T, a), 0.0)
+        dx[2] = np.where(self.elastic, self.compute_motor_accelerations(i, T, a), 0.0)
         dx[3], dx[4] = x[4], a
         wm = np.where(self.rigid, x[4] / self.Ng, x[2])
-        dx[5] = self.applied(x[0], wm, x[5], V)[1]
+        dx[5] = self.compute_applied(x[0], wm, x[5], V)[1]
         return dx.ravel()
 
     def choose_locks(self, x: Array, V: Array, freed: int | None = None) -> None:
@@ -89,7 +89,7 @@ class MachineWithModes(ReferenceMachine):
 
         Joints that the others would then drive backwards are locked again.
         """
-        hold = self.forces(x, V)[2]
+        hold = self.compute_forces(x, V)[2]
         v = x[4]
         rests = (self.Dc > 0.0) & (v == 0.0)
         self.locked = rests.copy()
@@ -98,7 +98,7 @@ class MachineWithModes(ReferenceMachine):
             self.locked[freed], self.direction[freed] = False, np.sign(hold[freed])
             rests[freed] = False  # how it sets out is within rounding
         for _ in range(MAX_ROUNDS * self.N):
-            _, a, hold = self.forces(x, V)
+            _, a, hold = self.compute_forces(x, V)
             over = np.where(self.locked, np.abs(hold) - self.Ds * (1.0 + ROUNDING), -1.0)
             worst = int(np.argmax(over))
             if over[worst] > 0.0:
@@ -114,51 +114,53 @@ class MachineWithModes(ReferenceMachine):
     def choose_sides(self, x: Array, V: Array) -> None:
         """Let each current be free, or held at its limit."""
         self.side[:] = 0.0
-        i, _ = self.currents(x, V)
+        i, _ = self.compute_currents(x, V)
         at = np.where(np.abs(i) >= self.limit * (1.0 - ROUNDING), np.sign(i), 0.0)
         self.side = at
-        _, surplus = self.currents(x, V)
+        _, surplus = self.compute_currents(x, V)
         self.side = np.where(at * surplus >= 0.0, at, 0.0)
 
-    def meet_limit(self, j: int, x: Array, V: Array) -> None:
+    def hold_limit(self, j: int, x: Array, V: Array) -> None:
         """Hold the current of joint j at its limit, unless it has left it, beyond by rounding."""
-        currents, surplus = self.currents(x, V)
+        currents, surplus = self.compute_currents(x, V)
         side = np.sign(currents[j])
         # Without inductance there is no surplus before it is held; whether there will be decides
         # how the back-EMF changes. One that just touches its limit is not held.
-        T, a, _ = self.forces(x, V)
-        back_emf_rate = self.Kb * self.motor_accelerations(currents, T, a)
+        T, a, _ = self.compute_forces(x, V)
+        back_emf_rate = self.Kb * self.compute_motor_accelerations(currents, T, a)
         ahead = surplus[j] if self.inductive[j] else -back_emf_rate[j]
         leaves = side * ahead < 0.0
         self.side[j] = 0.0 if leaves else side
         if self.inductive[j]:
             x[0, j] = side * self.limit[j] * (1.0 - ROUNDING * 1e-3 if leaves else 1.0)
 
-    def margins(self, V: Array) -> list[tuple[str, int, Margin]]:
+    def list_margins(self, V: Array) -> list[tuple[str, int, Margin]]:
         """Return what ends each mode, by falling through zero."""
         out: list[tuple[str, int, Margin]] = []
         for j in range(self.N):
             if self.locked[j]:
-                out.append(("away", j, self._spare(V, j)))
+                out.append(("away", j, self._make_grip_margin(V, j)))
             elif self.Dc[j] > 0.0:
-                out.append(("rest", j, self._along(j)))
+                out.append(("rest", j, self._make_speed_margin(j)))
             if np.isfinite(self.limit[j]):
                 name = "within" if self.side[j] else "limit"
-                out.append((name, j, self._room(V, j)))
+                out.append((name, j, self._make_limit_margin(V, j)))
         return out
 
-    def _spare(self, V: Array, j: int) -> Margin:
-        return lambda t, y: float(self.Ds[j] - abs(self.forces(y.reshape(ROWS, self.N), V)[2][j]))
+    def _make_grip_margin(self, V: Array, j: int) -> Margin:
+        return lambda t, y: float(
+            self.Ds[j] - abs(self.compute_forces(y.reshape(ROWS, self.N), V)[2][j])
+        )
 
-    def _along(self, j: int) -> Margin:
+    def _make_speed_margin(self, j: int) -> Margin:
         return lambda t, y: float(y[4 * self.N + j] * self.direction[j])
 
-    def _room(self, V: Array, j: int) -> Margin:
-        def room(t: float, y: Array) -> float:
-            i, surplus = self.currents(y.reshape(ROWS, self.N), V)
+    def _make_limit_margin(self, V: Array, j: int) -> Margin:
+        def evaluate_margin(t: float, y: Array) -> float:
+            i, surplus = self.compute_currents(y.reshape(ROWS, self.N), V)
             return float(self.side[j] * surplus[j] if self.side[j] else self.limit[j] - abs(i[j]))
 
-        return room
+        return evaluate_margin
 
 
 def solve_with_events(
@@ -173,8 +175,8 @@ def solve_with_events(
         rtol: relative error per step; absolute: a hundredth of it.
     """
     machine = MachineWithModes(scene)
-    x = machine.at_rest(scene.start, None)
-    rate = machine.fastest_rate(x)
+    x = machine.make_rest_state(scene.start, None)
+    rate = machine.compute_fastest_rate(x)
     method = "Radau" if rate > STIFF else "DOP853"
     # A mode that ends for less than a step is not seen: as when a swinging gear breaks a link away.
     longest = min(period / 40.0, 0.2 / rate)
@@ -185,12 +187,12 @@ def solve_with_events(
         machine.choose_sides(x, V)
         machine.choose_locks(x, V)
         for _ in range(MAX_PIECES):
-            margins = machine.margins(V)
+            margins = machine.list_margins(V)
             stops = [margin for _, _, margin in margins]
             for stop in stops:
                 stop.terminal, stop.direction = True, -1.0  # type: ignore[attr-defined]
             solution = solve_ivp(
-                lambda t, y, V=V: machine.rates(t, y, V),
+                lambda t, y, V=V: machine.compute_rates(t, y, V),
                 (t, period),
                 x.ravel(),
                 method=method,
@@ -214,7 +216,7 @@ def solve_with_events(
                 elif event == "away":
                     freed = j
                 elif event == "limit":
-                    machine.meet_limit(j, x, V)
+                    machine.hold_limit(j, x, V)
                 else:
                     machine.side[j] = 0.0
             machine.choose_locks(x, V, freed)

@@ -93,7 +93,7 @@ class Followed:
         return float(np.gradient(self.place, self.t).max())
 
 
-def follow(
+def follow_line(
     scene_name: str,
     assumed: AssumedNumbers,
     line: ToolLine | None = None,

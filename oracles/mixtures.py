@@ -243,20 +243,20 @@ def draw_commands(scene: Scene, seed: int) -> np.ndarray:
     return rows
 
 
-def push(plant: Plant, seed: int) -> None:
+def push_link(plant: Plant, seed: int) -> None:
     """Let a wrench act on the last link, if the mixture knows wrenches."""
     if plant.scene.external_wrench:
         force, moment = np.random.default_rng([seed, 78]).normal(0.0, 5.0, (2, 3)).tolist()
         plant.set_external_wrench(plant.scene.chain.joints[-1].link, ExternalWrench(force, moment))
 
 
-def run(scene: Scene, seed: int, rows: np.ndarray, steps: int) -> tuple[np.ndarray, float]:
+def run_rows(scene: Scene, seed: int, rows: np.ndarray, steps: int) -> tuple[np.ndarray, float]:
     """Return positions after each row, and what is left of the energy, of what was exchanged.
 
     Positions are those of all joints of the machine: deflections of bearings are among them.
     """
     plant = Plant(scene)
-    push(plant, seed)
+    push_link(plant, seed)
     began, supplied, exchanged, q = plant.energy, 0.0, 1e-3, []
     for k, row in enumerate(rows):
         plant.powered = not BRAKED.start <= k < BRAKED.stop  # which brakes follow
@@ -267,23 +267,27 @@ def run(scene: Scene, seed: int, rows: np.ndarray, steps: int) -> tuple[np.ndarr
     return np.array(q), abs(plant.energy - began - supplied) / exchanged
 
 
-def judge(seed: int) -> MixtureVerdict:
+def judge_mixture(seed: int) -> MixtureVerdict:
     """Draw a mixture and hold the claims against it."""
     with tempfile.TemporaryDirectory() as folder:
         file = write_mixture(Path(folder), seed)
 
-        def load(steps: int, events: str = "located") -> Scene:
+        def load_mixture(steps: int, events: str = "located") -> Scene:
             return load_scene(file, {"integrator.dt": PERIOD / steps, "integrator.events": events})
 
-        first = load(STEPS[0])
+        first = load_mixture(STEPS[0])
         parts = sorted({type(part).__name__ for joint in first.joints for part in joint.parts})
         if first.external_wrench:
             parts.append("ExternalWrench")
         rows = draw_commands(first, seed)
         try:
-            verdict, _ = converge(seed, parts, lambda steps: run(load(steps), seed, rows, steps))
+            verdict, _ = find_converged(
+                seed, parts, lambda steps: run_rows(load_mixture(steps), seed, rows, steps)
+            )
             if seed % 3 == 0:
-                verdict = replace(verdict, lanes=compare_lanes(load(STEPS[1], "step"), seed, rows))
+                verdict = replace(
+                    verdict, lanes=compare_lanes(load_mixture(STEPS[1], "step"), seed, rows)
+                )
         except Diverged as fault:
             return MixtureVerdict(
                 seed, parts, 0.0, (0.0, 0.0), (), (), 0.0, f"Diverged: {fault.joint}"
@@ -291,7 +295,7 @@ def judge(seed: int) -> MixtureVerdict:
     return verdict
 
 
-def converge(
+def find_converged(
     seed: int, parts: list[str], run_in: Callable[[int], tuple[np.ndarray, float]]
 ) -> tuple[MixtureVerdict, np.ndarray]:
     """Run in smaller and smaller steps until order shows; return that and the finest positions.
@@ -302,15 +306,15 @@ def converge(
         run_in: positions after each row, and what is left of the energy, by steps in a period.
     """
     steps, runs = STEPS[-1], [run_in(steps) for steps in STEPS]
-    verdict = _judge(seed, parts, runs, STEPS)
+    verdict = _judge_runs(seed, parts, runs, STEPS)
     while not (verdict.is_in_order and verdict.is_balanced) and 2 * steps <= FINEST:
         steps *= 2
         runs = [*runs[1:], run_in(steps)]
-        verdict = _judge(seed, parts, runs, (steps // 4, steps // 2, steps))
+        verdict = _judge_runs(seed, parts, runs, (steps // 4, steps // 2, steps))
     return verdict, runs[-1][0]
 
 
-def _judge(
+def _judge_runs(
     seed: int, parts: list[str], runs: list[tuple[np.ndarray, float]], steps: tuple[int, ...]
 ) -> MixtureVerdict:
     d = [float(np.abs(a - b).max()) for (a, _), (b, _) in pairwise(runs)]
@@ -325,11 +329,11 @@ def compare_lanes(scene: Scene, seed: int, rows: np.ndarray) -> float:
     fleet, worst = Fleet(scene, LANES), 0.0
     factors = 1.0 - 0.1 * np.arange(LANES)
     for lane in range(LANES):
-        push(fleet[lane], seed)
+        push_link(fleet[lane], seed)
     q = fleet.run(rows[:, None, :] * factors[None, :, None], STEPS[1])
     for lane, factor in enumerate(factors):
         alone = Plant(scene)
-        push(alone, seed)
+        push_link(alone, seed)
         moved = alone.run(rows * factor, STEPS[1])
         worst = max(worst, float(np.abs(q[:, lane] - moved).max()))
     return worst

@@ -32,12 +32,12 @@ class Robot:
     name: str
     elements: list[str] = field(default_factory=list)
 
-    def link(self, name: str, part: RobotPart | None = None) -> None:
+    def add_link(self, name: str, part: RobotPart | None = None) -> None:
         """Add a link, with the inertia of a part."""
         inertial = _write_inertial(part) if part is not None and part.mass > 0.0 else ""
         self.elements.append(f'<link name="{name}">{inertial}</link>')
 
-    def joint(self, name: str, kind: str, ends: tuple[str, str], xyz: str, inside: str) -> None:
+    def add_joint(self, name: str, kind: str, ends: tuple[str, str], xyz: str, inside: str) -> None:
         """Add a joint; `inside`: its rpy, a bar, and what else it holds."""
         parent, child = ends
         rpy, _, rest = inside.partition("|")
@@ -46,7 +46,7 @@ class Robot:
             f'<origin xyz="{xyz}" rpy="{rpy}"/>{rest}</joint>'
         )
 
-    def text(self) -> str:
+    def write_urdf(self) -> str:
         """Return the URDF."""
         return (
             f'<?xml version="1.0"?>\n<robot name="{self.name}">'
@@ -60,13 +60,13 @@ def write_serial(
 ) -> str:
     """Return the URDF of a serial arm with joints j1, j2, ... and a massless tool frame."""
     robot = Robot(name)
-    robot.link("world")
-    robot.link("base")
-    robot.joint("mount", "fixed", ("world", "base"), "0 0 0.1", f"{base_rpy}|")
+    robot.add_link("world")
+    robot.add_link("base")
+    robot.add_joint("mount", "fixed", ("world", "base"), "0 0 0.1", f"{base_rpy}|")
     at, link = (0.0, 0.0, 0.0), "base"
     for k, part in enumerate(parts, start=1):
-        robot.link(f"l{k}", part)
-        robot.joint(
+        robot.add_link(f"l{k}", part)
+        robot.add_joint(
             f"j{k}",
             part.kind,
             (link, f"l{k}"),
@@ -74,9 +74,9 @@ def write_serial(
             f"{part.rpy}|{_write_rest(part)}",
         )
         at, link = part.rod, f"l{k}"
-    robot.link(tool)
-    robot.joint("flange", "fixed", (link, tool), _format_words(at), "0 0 0|")
-    return robot.text()
+    robot.add_link(tool)
+    robot.add_joint("flange", "fixed", (link, tool), _format_words(at), "0 0 0|")
+    return robot.write_urdf()
 
 
 def _write_rest(part: RobotPart) -> str:
@@ -127,19 +127,19 @@ def _make_wrist(mass: float = 0.8) -> list[RobotPart]:
     ]
 
 
-def pendulum() -> str:
+def make_pendulum() -> str:
     """Return one joint."""
     return write_serial("pendulum", [RobotPart("0 1 0", (0.5, 0.0, 0.0), 2.0)])
 
 
-def planar() -> str:
+def make_planar() -> str:
     """Return two joints in a vertical plane."""
     return write_serial(
         "planar", [RobotPart("0 1 0", (0.4, 0.0, 0.0), 3.0), RobotPart("0 1 0", (0.3, 0.0, 0.0))]
     )
 
 
-def scara() -> str:
+def make_scara() -> str:
     """Return a SCARA: two turns, a slide, a turn."""
     slide = RobotPart("0 0 1", (0.0, 0.0, -0.2), 1.0, "prismatic", (-0.2, 0.0), 200.0, 1.0)
     return write_serial(
@@ -157,36 +157,40 @@ def scara() -> str:
     )
 
 
-def gantry() -> str:
+def make_gantry() -> str:
     """Return three slides."""
 
-    def axis(direction: str, reach: float, mass: float) -> RobotPart:
+    def make_axis(direction: str, reach: float, mass: float) -> RobotPart:
         return RobotPart(direction, (0.0, 0.0, 0.0), mass, "prismatic", (0.0, reach), None, 1.0)
 
     return write_serial(
         "gantry",
-        [axis("1 0 0", 2.0, 60.0), axis("0 1 0", 1.2, 30.0), axis("0 0 1", 0.8, 12.0)],
+        [
+            make_axis("1 0 0", 2.0, 60.0),
+            make_axis("0 1 0", 1.2, 30.0),
+            make_axis("0 0 1", 0.8, 12.0),
+        ],
     )
 
 
-def gantry_with_turn() -> str:
+def make_gantry_with_turn() -> str:
     """Return three slides without rates, and a turn without limits."""
 
-    def axis(direction: str, reach: float, mass: float) -> RobotPart:
+    def make_axis(direction: str, reach: float, mass: float) -> RobotPart:
         return RobotPart(direction, (0.0, 0.0, 0.1), mass, "prismatic", (-reach, reach), None, None)
 
     return write_serial(
         "gantry_with_turn",
         [
-            axis("1 0 0", 0.6, 20.0),
-            axis("0 1 0", 0.4, 10.0),
-            axis("0 0 -1", 0.3, 5.0),
+            make_axis("1 0 0", 0.6, 20.0),
+            make_axis("0 1 0", 0.4, 10.0),
+            make_axis("0 0 -1", 0.3, 5.0),
             RobotPart("0 0 1", (0.1, 0.0, 0.0), 1.0, "continuous", None),
         ],
     )
 
 
-def telescopic() -> str:
+def make_telescopic() -> str:
     """Return two turns and a boom of two slides."""
     return write_serial(
         "telescopic",
@@ -199,7 +203,7 @@ def telescopic() -> str:
     )
 
 
-def five_joints() -> str:
+def make_five_joints() -> str:
     """Return a hobby arm."""
     return write_serial(
         "five_joints",
@@ -213,7 +217,7 @@ def five_joints() -> str:
     )
 
 
-def spherical_wrist() -> str:
+def make_spherical_wrist() -> str:
     """Return a heavy arm whose last axes meet."""
     return write_serial(
         "spherical_wrist",
@@ -230,7 +234,7 @@ def spherical_wrist() -> str:
     )
 
 
-def tilted() -> str:
+def make_tilted() -> str:
     """Return the arm with the spherical wrist, hung from a slope."""
     return write_serial(
         "tilted",
@@ -244,7 +248,7 @@ def tilted() -> str:
     )
 
 
-def seven_joints() -> str:
+def make_seven_joints() -> str:
     """Return a redundant arm."""
     return write_serial(
         "seven_joints",
@@ -258,7 +262,7 @@ def seven_joints() -> str:
     )
 
 
-def on_a_rail() -> str:
+def make_on_a_rail() -> str:
     """Return eight joints, a rail first."""
     return write_serial(
         "on_a_rail",
@@ -273,7 +277,7 @@ def on_a_rail() -> str:
     )
 
 
-def nine_joints() -> str:
+def make_nine_joints() -> str:
     """Return a snake of continuous joints without any limits."""
     axes = ["0 0 1", "0 1 0", "1 0 0"] * 3
     return write_serial(
@@ -285,17 +289,17 @@ def nine_joints() -> str:
 OWN: dict[str, Callable[[], str]] = {
     make.__name__: make
     for make in (
-        pendulum,
-        planar,
-        scara,
-        gantry,
-        gantry_with_turn,
-        telescopic,
-        five_joints,
-        spherical_wrist,
-        tilted,
-        seven_joints,
-        on_a_rail,
-        nine_joints,
+        make_pendulum,
+        make_planar,
+        make_scara,
+        make_gantry,
+        make_gantry_with_turn,
+        make_telescopic,
+        make_five_joints,
+        make_spherical_wrist,
+        make_tilted,
+        make_seven_joints,
+        make_on_a_rail,
+        make_nine_joints,
     )
 }

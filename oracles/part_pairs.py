@@ -100,7 +100,7 @@ class RandomJoint:
     section: dict[str, Any] = field(default_factory=dict)
     kinds: list[Kind] = field(default_factory=list)
 
-    def put(self, kind: Kind, rng: Rng) -> None:
+    def put_part(self, kind: Kind, rng: Rng) -> None:
         """Add a part where the section has its place."""
         if issubclass(kind, DriveStage):
             kind = kind.find_kind(read_motor(Section(self.section["motor"], "pair")))
@@ -118,25 +118,25 @@ def draw_random_joint(rng: Rng) -> RandomJoint:
     joint = RandomJoint()
     motor = choose_any(rng, MOTORS)
     joint.section["motor"] = {"kind": motor.kind, "rotor_inertia": float(rng.uniform(5e-5, 3e-4))}
-    joint.put(motor, rng)
+    joint.put_part(motor, rng)
     for decorator in DECORATORS:
         if rng.random() < 0.5 and is_suitable(decorator, joint.section["motor"]):
-            joint.put(decorator, rng)
+            joint.put_part(decorator, rng)
     always: tuple[tuple[Kind, ...], ...] = (GEARS, LINK_FRICTIONS, ROTOR_FRICTIONS)
     for kinds in always:
-        joint.put(choose_any(rng, kinds), rng)
+        joint.put_part(choose_any(rng, kinds), rng)
     fit_friction_to_gear(joint.section)
     gear = joint.section["gear"]
     within_gear = GEAR_STAGES if "stiffness" in gear and "backlash" not in gear else ()
     sometimes: tuple[Kind, ...] = (Brake, *within_gear, *EXTRAS)
     for kind in sometimes:
         if rng.random() < 0.5:
-            joint.put(kind, rng)
+            joint.put_part(kind, rng)
     if rng.random() < 0.5:
         of_joint = str(rng.choice(list("xyz")))
         for deflection in DEFLECTIONS:
             if deflection.axis != of_joint:
-                joint.put(deflection, rng)
+                joint.put_part(deflection, rng)
     return joint
 
 
@@ -202,7 +202,7 @@ class Draw:
     powered: np.ndarray  # (ROWS,)
 
 
-def draw(scene: Scene, joints: tuple[RandomJoint, RandomJoint], seed: int) -> Draw:
+def draw_machine(scene: Scene, joints: tuple[RandomJoint, RandomJoint], seed: int) -> Draw:
     """Draw numbers and commands for a machine."""
     rng = np.random.default_rng([seed, 52])
     varied = {number.name: number for number in scene.varied}
@@ -273,16 +273,16 @@ def simulate_sample(file: Path, sample: Draw, steps: int, scheme: str, events: s
     return np.array(q)
 
 
-def judge(
+def judge_pair(
     file: Path, joints: tuple[RandomJoint, RandomJoint], machine: int, seed: int, scheme: str
 ) -> PairVerdict:
     """Judge a draw with a scheme, whose events are located if it can."""
     located = scheme in LOCATING_SCHEMES
-    sample = draw(load_scene(file), joints, 1000 * machine + seed)
+    sample = draw_machine(load_scene(file), joints, 1000 * machine + seed)
     parts = [kind.__name__ for joint in joints for kind in joint.kinds]
 
     @cache
-    def run(steps: int, scheme: str = scheme, events: str = "step") -> np.ndarray | None:
+    def run_steps(steps: int, scheme: str = scheme, events: str = "step") -> np.ndarray | None:
         try:
             return simulate_sample(file, sample, steps, scheme, events)
         except Diverged:
@@ -299,24 +299,24 @@ def judge(
 
     if not located:
         finest = COARSE[-1] * FINER
-        truth = run(2 * finest, LOCATING_SCHEMES[0], "located")
-        coarse = [_measure_distance(run(steps), truth) for steps in COARSE]
+        truth = run_steps(2 * finest, LOCATING_SCHEMES[0], "located")
+        coarse = [_measure_distance(run_steps(steps), truth) for steps in COARSE]
         largest = max((error for error in coarse if error < math.inf), default=math.inf)
-        errors = largest, _measure_distance(run(finest), truth)
+        errors = largest, _measure_distance(run_steps(finest), truth)
         judged = make_verdict(errors, COARSE[0], round(math.log2(FINER)), math.log(FALLS, FINER))
         if judged.in_order:
             return judged
         # Coarse runs that diverge, or whose events lie alike, hide the order of small steps.
-        truth = run(2 * STILL_FINER * finest, LOCATING_SCHEMES[0], "located")
+        truth = run_steps(2 * STILL_FINER * finest, LOCATING_SCHEMES[0], "located")
         errors = (
-            _measure_distance(run(finest), truth),
-            _measure_distance(run(STILL_FINER * finest), truth),
+            _measure_distance(run_steps(finest), truth),
+            _measure_distance(run_steps(STILL_FINER * finest), truth),
         )
         return make_verdict(
             errors, finest, round(math.log2(STILL_FINER)), math.log(FALLS, STILL_FINER)
         )
     for steps, halvings in WINDOWS:
-        runs = [run(steps << k, scheme, "located") for k in range(halvings + 2)]
+        runs = [run_steps(steps << k, scheme, "located") for k in range(halvings + 2)]
         judged = make_verdict(tuple(map(_measure_distance, runs, runs[1:])), steps, halvings, ORDER)
         if judged.in_order:
             break

@@ -50,9 +50,9 @@ def _write_random_urdf(
             A = rng.normal(size=(3, 3))
             I = 0.02 * (multiply_matrices(A, A.T) + np.eye(3))  # noqa: E741
             text += LINK.format(
-                name=name, kind=kind, parent=parent, xyz=_join(rng.normal(0, 0.2, 3)),
-                rpy=_join(rng.uniform(-3, 3, 3)), axis=_join(rng.normal(size=3)),
-                com=_join(rng.normal(0, 0.1, 3)), com_rpy=_join(rng.uniform(-3, 3, 3)),
+                name=name, kind=kind, parent=parent, xyz=_join_values(rng.normal(0, 0.2, 3)),
+                rpy=_join_values(rng.uniform(-3, 3, 3)), axis=_join_values(rng.normal(size=3)),
+                com=_join_values(rng.normal(0, 0.1, 3)), com_rpy=_join_values(rng.uniform(-3, 3, 3)),
                 mass=rng.uniform(0.5, 3.0), ixx=I[0, 0], iyy=I[1, 1], izz=I[2, 2], ixy=I[0, 1],
                 ixz=I[0, 2], iyz=I[1, 2],
             )  # fmt: skip
@@ -67,5 +67,5 @@ def list_moving_joints(urdf: str) -> list[str]:
     return [joint.get("name", "") for joint in joints if joint.get("type") != "fixed"]
 
 
-def _join(values: Any) -> str:
+def _join_values(values: Any) -> str:
     return " ".join(repr(float(value)) for value in values)

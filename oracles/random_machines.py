@@ -95,7 +95,7 @@ def write_machine(folder: Path, seed: int) -> tuple[Path, Array]:
         joints[names[0]] |= {"motor": _draw_motor(rng), "gear": _draw_gear(rng)}
     apart = np.random.default_rng([seed, 1])  # so that all else is drawn as without
     for joint in joints.values():
-        _stiffen(apart, joint.get("gear", {}))
+        _make_progressive(apart, joint.get("gear", {}))
     data: dict[str, Any] = {
         "name": f"random_{seed}",
         "urdf": "robot.urdf",
@@ -148,34 +148,34 @@ def _draw_gear(rng: np.random.Generator) -> dict[str, float]:
     return gear
 
 
-def _stiffen(rng: np.random.Generator, gear: dict[str, float]) -> None:
+def _make_progressive(rng: np.random.Generator, gear: dict[str, float]) -> None:
     """Make some elastic gears progressive: the cube has a share of 20 N m."""
     if "stiffness" in gear and rng.random() < 0.4:
         share = float(10 ** rng.uniform(-1.0, 0.5))
         gear["cubic_stiffness"] = share * gear["stiffness"] ** 3 / 20.0**2
 
 
-def judge(seed: int, schemes: tuple[str, ...] = LOCATING_SCHEMES) -> list[MachineVerdict]:
+def judge_machine(seed: int, schemes: tuple[str, ...] = LOCATING_SCHEMES) -> list[MachineVerdict]:
     """Hold one machine against the claims."""
     with tempfile.TemporaryDirectory() as folder:
         file, voltages = write_machine(Path(folder), seed)
         scene = load_scene(file)
         equations = ReferenceMachine(scene, smooth=False)
-        rate = equations.fastest_rate(equations.at_rest(scene.start, None))
+        rate = equations.compute_fastest_rate(equations.make_rest_state(scene.start, None))
         truth, events = solve_with_events(scene, voltages, PERIOD)
         steps = math.ceil(PERIOD * max(rate, 1e3) / STEP_OF_RATE)
         verdicts = []
         for scheme in schemes:
             about = (seed, scheme, len(scene.joints), events, rate)
-            verdict = _judge(file, scheme, voltages, truth, about, steps)
+            verdict = _judge_scheme(file, scheme, voltages, truth, about, steps)
             # Where the coarse error is small by chance, as its parts cancel, the next decides.
             if not (verdict.is_in_order and verdict.is_balance_in_order):
-                verdict = _judge(file, scheme, voltages, truth, about, 10 * steps)
+                verdict = _judge_scheme(file, scheme, voltages, truth, about, 10 * steps)
             verdicts.append(verdict)
         return verdicts
 
 
-def _judge(
+def _judge_scheme(
     file: Path,
     scheme: str,
     voltages: Array,
@@ -185,7 +185,7 @@ def _judge(
 ) -> MachineVerdict:
     try:
         runs = [
-            run(_load_with(file, scheme, PERIOD / n), voltages, n)
+            run_rows(_load_with(file, scheme, PERIOD / n), voltages, n)
             for n in (steps, 10 * steps, round(PERIOD / MICROSECOND))
         ]
     except Diverged as fault:
@@ -203,7 +203,7 @@ def _load_with(file: Path, scheme: str, dt: float) -> Scene:
     return load_scene(file, {"integrator": integrator})
 
 
-def run(scene: Scene, voltages: Array, steps: int) -> tuple[Array, float]:
+def run_rows(scene: Scene, voltages: Array, steps: int) -> tuple[Array, float]:
     """Return the links' positions after each row, and what part of the energy is left over."""
     plant = Plant(scene)
     before, supplied, dissipated, exchanged, q = plant.energy, 0.0, 0.0, 0.0, []

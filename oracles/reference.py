@@ -93,9 +93,9 @@ def solve_states(
     """
     machine = ReferenceMachine(scene, beginning.get("payload"))
     q, method = beginning.get("q"), beginning.get("method")
-    x = machine.at_rest(scene.start if q is None else q, beginning.get("v"))
+    x = machine.make_rest_state(scene.start if q is None else q, beginning.get("v"))
     if method is None:
-        method = "LSODA" if machine.fastest_rate(x) > STIFF else "DOP853"
+        method = "LSODA" if machine.compute_fastest_rate(x) > STIFF else "DOP853"
     if method == "DOP853":
         rtol = max(1e-2 * rtol, 1e-13)  # SciPy allows 2.2e-14
     rows = np.clip(np.atleast_2d(commands), -machine.largest, machine.largest)
@@ -103,7 +103,7 @@ def solve_states(
     step = None
     for k, V in enumerate(rows):
         solution = solve_ivp(
-            machine.rates,
+            machine.compute_rates,
             (0.0, period),
             x.ravel(),
             method=method,
@@ -219,7 +219,7 @@ class ReferenceMachine:
         self.model.armature = np.where(self.motor & self.rigid, self.Mm / self.Ng**2, 0.0)
         self.data = self.model.createData()
 
-    def at_rest(self, q: ArrayLike, v: ArrayLike | None) -> Array:
+    def make_rest_state(self, q: ArrayLike, v: ArrayLike | None) -> Array:
         """Return x, (6, N), without current and with gears unloaded; see `solve_states`."""
         x = np.zeros((ROWS, self.N))
         x[3] = q
@@ -228,7 +228,7 @@ class ReferenceMachine:
         x[1:3] = np.where(self.elastic, x[3:5] / self.Ng, 0.0)
         return x
 
-    def fastest_rate(self, x: Array) -> float:
+    def compute_fastest_rate(self, x: Array) -> float:
         """Return the largest magnitude of the Jacobian's eigenvalues at x, 0 V [1/s]."""
         V, at = np.zeros(self.N), x.ravel()
         J = np.empty((at.size, at.size))
@@ -236,10 +236,12 @@ class ReferenceMachine:
             ahead, back = at.copy(), at.copy()
             ahead[k] += step
             back[k] -= step
-            J[:, k] = (self.rates(0.0, ahead, V) - self.rates(0.0, back, V)) / (2.0 * step)
+            J[:, k] = (self.compute_rates(0.0, ahead, V) - self.compute_rates(0.0, back, V)) / (
+                2.0 * step
+            )
         return float(np.abs(np.linalg.eigvals(J)).max())
 
-    def gear_torques(self, tm: Array, wm: Array, q: Array, v: Array) -> Array:
+    def compute_gear_torques(self, tm: Array, wm: Array, q: Array, v: Array) -> Array:
         """Return the torques of elastic gears on their links (N,) [N m]."""
         w = self.Ng * tm - q
         return self.Kg * w + self.Kg3 * w**3 + self.Dg * (self.Ng * wm - v)
@@ -254,24 +256,26 @@ class ReferenceMachine:
             torque[inside] -= side * np.maximum(push, 0.0)
         return torque
 
-    def applied(self, i: Array, wm: Array, integral: Array, u: Array) -> tuple[Array, Array]:
+    def compute_applied(
+        self, i: Array, wm: Array, integral: Array, u: Array
+    ) -> tuple[Array, Array]:
         """Return the voltages at the windings under commands, and the rates of the integrals."""
         requested = self.P * (u - i) + integral + self.E * wm
         voltage = np.clip(requested, -self.supply, self.supply)
         rate = self.I * (u - i) + self.I / self.P * (voltage - requested)
         return np.where(self.looped, voltage, u), np.where(self.looped, rate, 0.0)
 
-    def rates(self, t: float, flat: Array, V: Array) -> Array:
+    def compute_rates(self, t: float, flat: Array, V: Array) -> Array:
         """Return dx/dt, flat."""
         i, tm, wm, q, v, integral = flat.reshape(ROWS, self.N)
         wm = np.where(self.rigid, v / self.Ng, wm)
-        V, of_integral = self.applied(i, wm, integral, V)
+        V, of_integral = self.compute_applied(i, wm, integral, V)
         at_once = np.clip((V - self.Kb * wm) / self.R, -self.limit, self.limit)
         i = np.where(self.inductive, i, at_once)
         T = np.where(
             self.rigid,
             self.Kt * i / self.Ng,  # the rotor is part of the links' mass matrix
-            self.gear_torques(tm, wm, q, v),
+            self.compute_gear_torques(tm, wm, q, v),
         )
         dx = np.zeros((ROWS, self.N))
         np.divide(V - self.R * i - self.Kb * wm, self.L, out=dx[0], where=self.inductive)

@@ -59,7 +59,7 @@ class Dry:
         self.vs = getattr(law, "stribeck", None)
         self.mu = getattr(law, "load", 0.0)
 
-    def torque(self, w: float, T: float, brake: float = 0.0) -> float:
+    def compute_torque(self, w: float, T: float, brake: float = 0.0) -> float:
         """Return it at a speed, under the torque of the gear on that shaft and of a brake."""
         s = w / self.speed
         falls = math.exp(-((w / self.vs) ** 2)) if self.vs else 0.0
@@ -77,23 +77,23 @@ class Bristles:
     def __init__(self, law: LuGre) -> None:
         self.law = law
 
-    def rate(self, w: float, z: float) -> float:
+    def compute_rate(self, w: float, z: float) -> float:
         """Return how fast bristles bend."""
         law = self.law
         g = law.coulomb + (law.breakaway - law.coulomb) * math.exp(-((w / law.stribeck) ** 2))
         return w - law.bristle_stiffness * abs(w) * z / g
 
-    def torque(self, w: float, z: float) -> float:
+    def compute_torque(self, w: float, z: float) -> float:
         """Return the torque against the motion."""
-        return self.law.bristle_stiffness * z + self.law.bristle_damping * self.rate(w, z)
+        return self.law.bristle_stiffness * z + self.law.bristle_damping * self.compute_rate(w, z)
 
 
-def push(K: float, D: float, u: float, du: float) -> float:
+def compute_push(K: float, D: float, u: float, du: float) -> float:
     """Return what a spring and a damper push with that never pull, pressed in by u."""
     return max(0.0, K * u + D * du) if u > 0.0 else 0.0
 
 
-def clamp(x: float, limit: float | None) -> float:
+def clamp_value(x: float, limit: float | None) -> float:
     """Return x clamped to a limit; None: unlimited."""
     return x if limit is None else min(max(x, -limit), limit)
 
@@ -128,27 +128,27 @@ class SmoothJoint:
             getattr(self.motor, "rotor_inertia", 0.0) / self.Ng**2 if not self.elastic else 0.0
         )
 
-    def at_rest(self, q: float) -> list[float]:
+    def make_rest_state(self, q: float) -> list[float]:
         """Return the states without current, the gear unloaded."""
         rotor = [q / self.Ng, 0.0] if self.elastic else []
         return [0.0] * self.of_motor + rotor + [0.0] * len(self.bristles)
 
-    def _motor(self, u: float, wm: float, z: list[float]) -> tuple[float, list[float]]:
+    def _compute_motor(self, u: float, wm: float, z: list[float]) -> tuple[float, list[float]]:
         """Return the torque on the rotor, and the rates of the motor's states."""
         motor = self.motor
         if isinstance(motor, DcMotor):
-            return self._winding(motor, u, wm, z)
+            return self._compute_winding(motor, u, wm, z)
         if isinstance(motor, TorqueMotor):
             limit, per_state = motor.torque_limit, 1.0
         else:
             assert isinstance(motor, CurrentMotor)
             limit, per_state = motor.current_limit, motor.torque_constant
-        u = clamp(u, limit)
+        u = clamp_value(u, limit)
         if motor.bandwidth is None:
             return per_state * u, []
         return per_state * z[0], [2.0 * math.pi * motor.bandwidth * (u - z[0])]
 
-    def _winding(
+    def _compute_winding(
         self, motor: DcMotor, u: float, wm: float, z: list[float]
     ) -> tuple[float, list[float]]:
         R, L, emf = motor.resistance, motor.inductance, motor.back_emf_constant * wm
@@ -157,30 +157,30 @@ class SmoothJoint:
             P = loop.proportional_gain or rate * L
             I = loop.integral_gain if loop.integral_gain is not None else rate * R  # noqa: E741
             i, x = z
-            error = clamp(u, motor.current_limit) - i
+            error = clamp_value(u, motor.current_limit) - i
             requested = P * error + x + loop.emf_feedforward * emf
-            V = clamp(requested, self.supply)
+            V = clamp_value(requested, self.supply)
             return motor.torque_constant * i, [
                 (V - R * i - emf) / L, I * error + I / P * (V - requested)
             ]  # fmt: skip
-        V = clamp(u, self.supply)
+        V = clamp_value(u, self.supply)
         if L == 0.0:
-            return motor.torque_constant * clamp((V - emf) / R, motor.current_limit), []
-        beyond = z[0] - clamp(z[0], motor.current_limit)
+            return motor.torque_constant * clamp_value((V - emf) / R, motor.current_limit), []
+        beyond = z[0] - clamp_value(z[0], motor.current_limit)
         drop = V - emf - R * (z[0] + self.smoothing.resistance * beyond)
         return motor.torque_constant * z[0], [drop / L]
 
-    def _gear(self, tm: float, wm: float, q: float, v: float) -> float:
+    def _compute_gear_torque(self, tm: float, wm: float, q: float, v: float) -> float:
         """Return the torque of an elastic gear on the link."""
         gear, w, rate = self.gear, self.Ng * tm - q, self.Ng * wm - v
         K, D = gear.stiffness or 0.0, gear.damping
         if isinstance(gear, BacklashGear):
             side = -1.0 if w < 0.0 else 1.0
-            return side * push(K, D, side * w - 0.5 * gear.backlash, side * rate)
+            return side * compute_push(K, D, side * w - 0.5 * gear.backlash, side * rate)
         cubic = gear.cubic_stiffness if isinstance(gear, ProgressiveGear) else 0.0
         return K * w + cubic * w**3 + D * rate
 
-    def rates(
+    def compute_rates(
         self, z: list[float], q: float, v: float, u: float, closed: bool
     ) -> tuple[list[float], float]:
         """Return the rates of the states, and the torque on the link."""
@@ -188,31 +188,31 @@ class SmoothJoint:
         tm, wm = z[m : m + 2] if self.elastic else (0.0, v / self.Ng)
         tau, out = 0.0, list[float]()
         if self.motor is not None:
-            tau, out = self._motor(u, wm, z[:m])
-        T = self._gear(tm, wm, q, v) if self.elastic else tau / self.Ng
+            tau, out = self._compute_motor(u, wm, z[:m])
+        T = self._compute_gear_torque(tm, wm, q, v) if self.elastic else tau / self.Ng
         on_rotor, on_link = tau, -self.joint.friction.viscous * v
         bends = []
         for (bristles, at_rotor), bend in zip(
             self.bristles, z[-len(self.bristles) :], strict=False
         ):
             w = wm if at_rotor else v
-            bends.append(bristles.rate(w, bend))
+            bends.append(bristles.compute_rate(w, bend))
             if at_rotor:
-                on_rotor -= bristles.torque(w, bend)
+                on_rotor -= bristles.compute_torque(w, bend)
             else:
-                on_link -= bristles.torque(w, bend)
+                on_link -= bristles.compute_torque(w, bend)
         if self.motor is not None:
             on_rotor -= self.rotor_viscous * wm
-            on_rotor -= self.rotor.torque(wm, self.Ng * T, self.brake * closed)
+            on_rotor -= self.rotor.compute_torque(wm, self.Ng * T, self.brake * closed)
         if self.elastic:
             out += [wm, (on_rotor - self.Ng * T) / self.motor.rotor_inertia]  # type: ignore[union-attr]
             on_link += T
         else:
             on_link += on_rotor / self.Ng
-        on_link -= self.link.torque(v, T)
+        on_link -= self.link.compute_torque(v, T)
         for stop in self.stops:
-            on_link -= push(stop.stiffness, stop.damping, q - stop.upper, v)
-            on_link += push(stop.stiffness, stop.damping, stop.lower - q, -v)
+            on_link -= compute_push(stop.stiffness, stop.damping, q - stop.upper, v)
+            on_link += compute_push(stop.stiffness, stop.damping, stop.lower - q, -v)
         return out + bends, on_link
 
 
@@ -226,7 +226,7 @@ class InputRow:
 
 
 class SmoothedMachine:
-    """A scene's machine; `positions` are those of its links after each row."""
+    """A scene's machine; `compute_positions` are those of its links after each row."""
 
     def __init__(self, scene: Scene, smoothing: Smoothing | None = None) -> None:
         self.smoothing = smoothing or Smoothing()
@@ -236,7 +236,7 @@ class SmoothedMachine:
         self.data = self.model.createData()
         self.start = [float(q) for q in scene.start]
 
-    def rates(self, y: Array, row: InputRow) -> list[float]:
+    def compute_rates(self, y: Array, row: InputRow) -> list[float]:
         """Return dy/dt; y has all joints' states, then q, then v."""
         values = y.tolist()
         N = len(self.joints)
@@ -247,23 +247,29 @@ class SmoothedMachine:
         for j, joint in enumerate(self.joints):
             own = values[at : at + joint.states]
             at += joint.states
-            rates, torque[j] = joint.rates(own, q[j], v[j], float(row.command[j]), row.closed[j])
+            rates, torque[j] = joint.compute_rates(
+                own, q[j], v[j], float(row.command[j]), row.closed[j]
+            )
             out += rates
         a = pin.aba(self.model, self.data, y[-2 * N : -N], y[-N:], torque)
         return [*out, *v, *map(float, a)]
 
-    def positions(self, rows: list[InputRow]) -> Array:
+    def compute_positions(self, rows: list[InputRow]) -> Array:
         """Return the links' positions from rest at the scene's start, after each row (K, N)."""
         N = len(self.joints)
         y = np.array(
-            [z for joint, q in zip(self.joints, self.start, strict=True) for z in joint.at_rest(q)]
+            [
+                z
+                for joint, q in zip(self.joints, self.start, strict=True)
+                for z in joint.make_rest_state(q)
+            ]
             + self.start
             + [0.0] * N
         )
         out = np.empty((len(rows), N))
         for k, row in enumerate(rows):
             solution = solve_ivp(
-                lambda _, y, row=row: self.rates(y, row), (0.0, row.time), y, "LSODA",
+                lambda _, y, row=row: self.compute_rates(y, row), (0.0, row.time), y, "LSODA",
                 t_eval=[row.time], rtol=self.smoothing.rtol, atol=1e-3 * self.smoothing.rtol,
                 max_step=row.time / 20.0, first_step=1e-9,
             )  # fmt: skip

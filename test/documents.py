@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from docs.hooks import page_files
+from docs.hooks import list_page_files
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
-DOCUMENTS = [*sorted(ROOT.glob("*.md")), *page_files().values()]
+DOCUMENTS = [*sorted(ROOT.glob("*.md")), *list_page_files().values()]
 
 
 def page_of(name: str) -> Path:

@@ -22,7 +22,7 @@ def test_the_matrix_has_the_imports_that_import_linter_sees() -> None:
     """Truth: the graph of grimp, by which import-linter judges the contracts."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
     graph = grimp.build_graph(*project["root_packages"], cache_dir=None)
-    result = architecture.imports_of_rooms()
+    result = architecture.list_imports_of_rooms()
     rooms = set(result) - {architecture.NAMESPACE}
     for room in rooms:
         if graph.find_children(room):
@@ -79,7 +79,7 @@ def test_a_station_whose_function_is_elsewhere_is_refused(
 
 def test_a_room_without_files_is_refused() -> None:
     with pytest.raises(Missing, match=r"arm_emulator\.no_room"):
-        architecture.sources("arm_emulator.no_room")
+        architecture.list_sources("arm_emulator.no_room")
 
 
 FLOORS = ("numerics", "parts", "mechanics", "schemes", "machine", "boundary")

@@ -22,7 +22,7 @@ MARKED = sorted(
 @pytest.mark.parametrize("file", MARKED, ids=lambda file: file.stem)
 def test_every_figure_has_a_source_or_a_range(file: Path) -> None:
     result = list_origins(file)
-    names = [name for figure in result for name in figure.names()]
+    names = [name for figure in result for name in figure.list_names()]
     assert len(names) == len(set(names)), "a figure is reported twice"
     there = {
         f"joints.{joint.name}.{section}"
@@ -103,7 +103,7 @@ def test_a_gear_of_another_ratio_is_as_motors_of_scaled_constants() -> None:
     """A rotor turns 1/r times as fast: constants, dry friction grow by r0/r, the rest squared."""
     for figure in list_assumed(CONFIG / "ur5.yaml"):
         if figure.label == "gear.ratio":
-            values = figure.at(0.5 * figure.value)
+            values = figure.scale_numbers(0.5 * figure.value)
             for name, value in values.items():
                 power = 2.0 if name.endswith(("rotor_inertia", "viscous")) else 1.0
                 assert value == pytest.approx(figure.nominal[name] * 2.0**power), name

@@ -10,7 +10,7 @@ from draws import some, with_slow
 from machines import ROTOR, write_scene
 
 from arm_emulator import Plant, load_scene
-from oracles.at_rest import FRICTIONS, INSTANT, PARTS, PLACES, RestCase, judge, load_equations
+from oracles.at_rest import FRICTIONS, INSTANT, PARTS, PLACES, RestCase, judge_poses, load_equations
 from oracles.random_chain import list_moving_joints, write_random_chain
 from oracles.reference import make_links_model
 
@@ -37,7 +37,7 @@ def test_joints_rest_where_friction_holds_them_and_move_elsewhere(
     wrong = [
         line
         for law in frictions
-        for line in judge(
+        for line in judge_poses(
             RestCase("three_axis", place, law, scheme, events, weightless), 60, equations
         )
     ]

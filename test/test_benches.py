@@ -80,10 +80,14 @@ def test_a_section_of_a_published_report_is_measured_again(
     monkeypatch.setattr(report.importlib, "import_module", lambda name: sections[name[6:]])
     monkeypatch.setattr(report, "describe_machine", lambda: MACHINE)
     out, page = tmp_path / "out", tmp_path / "page"
-    assert report.bench(False, [], out, page) == report.bench(False, ["two"], out, page) == 0
+    assert (
+        report.run_benches(False, [], out, page)
+        == report.run_benches(False, ["two"], out, page)
+        == 0
+    )
     text = (page / "report.md").read_text()
     assert "run 1, quick: False" in text and "run 2, quick: False" in text
     assert text.count("was measured anew on") == 1
     with pytest.raises(Refusal, match="come with sections of the report, got --quick"):
-        report.bench(True, ["two"], out, page)
+        report.run_benches(True, ["two"], out, page)
     assert (page / "report.md").read_text() == text

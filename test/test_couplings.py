@@ -32,7 +32,7 @@ from arm_emulator.machine.session.tool_chain import ToolChain
 from arm_emulator.motion.model.link_torques import LinkTorques
 from arm_emulator.runs.breakpoint import Breakpoint
 from arm_emulator_fleet import Fleet
-from oracles.any_arm import draw_reachable, move
+from oracles.any_arm import draw_reachable, move_arm
 from oracles.coupled_arms import (
     ARMS,
     BOOM,
@@ -120,12 +120,12 @@ def test_the_links_move_as_by_explicit_constraints(name: str, tmp_path: Path) ->
     loads = LinkLoads(scene)
     for _ in range(20):
         p, v, T = (draw.normal(size=C.shape[1]) * size for size in (1.0, 2.0, 30.0))
-        expected = truth.accelerations(p, v, T)
+        expected = truth.compute_accelerations(p, v, T)
         actual = links.accelerations(p, v, T)
         np.testing.assert_allclose(actual, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
         M, still = loads.compute_mass_matrix(p), np.zeros_like(v)
         actual = np.linalg.solve(M, T - loads.compute_weight(p))
-        expected = truth.accelerations(p, still, T)
+        expected = truth.compute_accelerations(p, still, T)
         np.testing.assert_allclose(actual, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
 
 
@@ -145,7 +145,7 @@ def test_the_machine_moves_as_its_equations(name: str, tmp_path: Path) -> None:
         theta, omega, p, v = x.reshape(4, N)
         T = Kg * (Ng * theta - p) + Dg * (Ng * omega - v)
         alpha = (u - Dv * omega - Ng * T) / Mm
-        return np.concatenate([omega, alpha, v, truth.accelerations(p, v, T - Dl * v)])
+        return np.concatenate([omega, alpha, v, truth.compute_accelerations(p, v, T - Dl * v)])
 
     end, start = 0.2, scene.start
     x = np.concatenate([start / Ng, np.zeros(N), start, np.zeros(N)])
@@ -196,7 +196,7 @@ def test_mimic_joints_between_base_and_tool_move_along(tmp_path: Path) -> None:
             truth.model, truth.data, C @ p + q_0, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         )
         np.testing.assert_allclose(kinematics.jacobian(p), J @ C, atol=1e-12)
-        a = truth.accelerations(p, v, T)
+        a = truth.compute_accelerations(p, v, T)
         np.testing.assert_allclose(links.accelerations(p, v, T), a, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(torques.compute_torques(p, v, a), T, rtol=1e-9, atol=1e-9)
     # 0 <= 0.5 p + 0.02 <= 0.4 and 0 <= 0.088 - 0.3 p <= 0.3, within 0 .. 0.6.
@@ -312,7 +312,7 @@ def test_wrenches_units_numbers_and_faults_act_on_any_link(name: str, tmp_path: 
             R = pin.updateFramePlacement(model, data, model.getFrameId(link)).rotation
             moment = wrench.moment + np.cross(R @ wrench.point, wrench.force)
             tau += J.T @ np.concatenate([wrench.force, moment])
-        a = truth.accelerations(x.q, x.v, np.zeros(len(p)), tau)
+        a = truth.compute_accelerations(x.q, x.v, np.zeros(len(p)), tau)
         pin.forwardKinematics(model, data, q, truth.C @ x.v, truth.C @ a)
         feels = pin.getFrameClassicalAcceleration(model, data, frame, local).linear
         R = pin.updateFramePlacement(model, data, frame).rotation
@@ -347,7 +347,7 @@ def test_new_takes_a_telescope_and_the_tool_goes_where_it_is_sent(tmp_path: Path
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     pair = draw_reachable(kinematics, 0.2, np.random.default_rng(1))
     assert pair is not None
-    outcome = move(scene, gains, "50 mm", *pair)
+    outcome = move_arm(scene, gains, "50 mm", *pair)
     assert not outcome.words and outcome.peak_speed <= 1.0 and not outcome.has_overshot, outcome
 
 
@@ -379,7 +379,7 @@ def test_an_arm_with_a_differential_goes_where_it_is_sent(tmp_path: Path) -> Non
     assert not find_overloads(scene)
     pair = draw_reachable(kinematics, 0.1, np.random.default_rng(1))
     assert pair is not None
-    value = move(scene, gains, "50 mm", *pair)
+    value = move_arm(scene, gains, "50 mm", *pair)
     assert not value.words and value.peak_speed <= 1.0 and not value.has_overshot, value
 
 

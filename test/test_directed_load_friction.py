@@ -126,7 +126,7 @@ def sample_case(kind: str, seed: int, ratio: float = 0.0) -> tuple[Case, Array]:
         law = sample_bam(rng, scale, speed)
         if is_rigid:  # where the motor's torque is the gear's
             law = replace(law, Ke=law.Ke + law.Km, Kes=law.Kes + law.Kms, Km=0.0, Kms=0.0)
-        friction = law.section(viscous)
+        friction = law.make_section(viscous)
     else:
         law, friction = (sample_driven if joint.at_link else sample_lossy)(rng, scale)
         friction["viscous"] = viscous
@@ -196,7 +196,7 @@ def erob_case(law: Bam, viscous: float) -> Case:
     """The actuator by its output, with a spring that is stiff against what is measured."""
     joint = Rotor(Jm=1.1350955632532613, Ng=1.0, Kg=1e4, Dg=200.0, mass=MASS, weight=OUTSIDE,
                   viscous=viscous, law=law)  # fmt: skip
-    return joint, law.section(viscous), True
+    return joint, law.make_section(viscous), True
 
 
 def settled(plant: Plant, torque: float) -> None:
@@ -285,7 +285,7 @@ def test_the_law_in_python_is_the_budget_at_random_torques_and_speeds() -> None:
             law(np.sign(w), w, A, S, abs(A) > abs(S))
             for w, A, S in zip(at.speed, tau, gear, strict=True)
         ]
-        dry = RotorLoadFriction(**law.section(0.5)).compute_dry_torque(at)
+        dry = RotorLoadFriction(**law.make_section(0.5)).compute_dry_torque(at)
         assert dry == pytest.approx(np.array(budget), rel=1e-12)
 
 
@@ -302,7 +302,7 @@ def sample_budgets(
         joint, rows = sample_joint(rng, ratio=ratio)
         scale = abs(ratio) * joint.weight
         laws.append(sample_bam(rng, scale, 10.0))
-        friction = laws[-1].section(0.01 * scale)
+        friction = laws[-1].make_section(0.01 * scale)
         friction |= {"back_load": friction["load"], "rest_back_load": friction["rest_load"]}
         if back_load:
             friction |= {key: float(rng.uniform(0.0, back_load)) for key in friction

@@ -55,7 +55,7 @@ def test_the_site_has_every_page_once() -> None:
     compiled = set(hooks.TOP.values()) - {"index.md"}
     listed = pages_in(hooks.expand_pages(site["nav"]))
     assert len(listed) == len(set(listed))
-    assert set(listed) == set(hooks.page_files()) | compiled
+    assert set(listed) == set(hooks.list_page_files()) | compiled
 
 
 def test_the_page_of_python_has_every_public_name() -> None:
@@ -68,7 +68,7 @@ def test_the_page_of_python_has_every_public_name() -> None:
 @pytest.mark.slow
 def test_generated_parts_of_pages_follow_from_the_code() -> None:
     """As `make tables` writes them, and `make lint` checks."""
-    assert dict(generated.outdated_pages()) == {}
+    assert dict(generated.list_outdated_pages()) == {}
     titles = re.findall("^## (.+)", page_of("command_line").read_text(), re.M)
     assert set(command_names()) <= set(titles)
 
@@ -77,7 +77,7 @@ def test_a_generated_part_that_has_fallen_behind_is_written_again() -> None:
     page = page_of("brake").read_text()
     assert page.count("`brake.torque`") >= 1
     old = page.replace("`brake.torque`", "`brake.force`")
-    assert generated.fill(old) == page
+    assert generated.fill_page(old) == page
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_a_generated_part_that_has_fallen_behind_is_written_again() -> None:
 )
 def test_a_generated_part_that_cannot_be_generated_is_named(text: str, missing: str) -> None:
     with pytest.raises(hooks.Missing, match=missing):
-        generated.fill(text)
+        generated.fill_page(text)
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
@@ -286,9 +286,9 @@ def test_a_command_draws_every_picture_and_measured_table() -> None:
         bench = importlib.import_module(f"bench.{name}")
         assert callable(bench.run) and callable(bench.report)
         text = page.read_text()
-        changed = pages.put(text, name, "| a table |")
+        changed = pages.put_table(text, name, "| a table |")
         assert "| a table |\n<!-- end" in changed
         start, end = text.index(f"<!-- {name}: "), text.index(f"<!-- end {name} -->")
         assert changed.startswith(text[:start]) and changed.endswith(text[end:])
     with pytest.raises(Refusal, match="place of nothing must stand on one page once, got 0"):
-        pages.put("no place", "nothing", "")
+        pages.put_table("no place", "nothing", "")

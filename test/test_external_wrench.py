@@ -98,8 +98,8 @@ class PushedMachine(ReferenceMachine):
             tau += J.T @ np.concatenate([f, n + np.cross(R @ wrench.point, f)])
         return tau
 
-    def rates(self, t: float, flat: Array, V: Array) -> Array:
-        dx = super().rates(t, flat, V).reshape(ROWS, self.N)
+    def compute_rates(self, t: float, flat: Array, V: Array) -> Array:
+        dx = super().compute_rates(t, flat, V).reshape(ROWS, self.N)
         q = flat.reshape(ROWS, self.N)[3]
         tau = self.torques(q)
         M = pin.crba(self.model, self.data, q)
@@ -108,7 +108,13 @@ class PushedMachine(ReferenceMachine):
 
     def after(self, x: Array, V: Array) -> Array:
         end = solve_ivp(
-            self.rates, (0.0, PERIOD), x.ravel(), "DOP853", rtol=1e-12, atol=1e-13, args=(V,)
+            self.compute_rates,
+            (0.0, PERIOD),
+            x.ravel(),
+            "DOP853",
+            rtol=1e-12,
+            atol=1e-13,
+            args=(V,),
         )
         out: Array = end.y[:, -1].reshape(x.shape)
         return out
@@ -145,7 +151,7 @@ def test_pushes_and_loads_that_change_keep_the_order(tmp_path: Path, scheme: str
     voltages = rng.uniform(-20.0, 20.0, (rows, 3))
     pushes = [sample_wrenches(rng, scene, 20.0) for _ in range(rows)]
     masses = rng.uniform(0.5, 3.0, rows).tolist()
-    x, truth = PushedMachine(scene).at_rest(scene.start, None), []
+    x, truth = PushedMachine(scene).make_rest_state(scene.start, None), []
     for row, wrenches, mass in zip(voltages, pushes, masses, strict=True):
         machine = PushedMachine(load_scene(file, {"payload.mass": mass}), mass)
         machine.wrenches = wrenches

@@ -21,7 +21,7 @@ from arm_emulator.motion.model.link_torques import LinkTorques
 from arm_emulator.motion.model.rest_load import RestLoad
 from arm_emulator.motion.planner.tool_controller import make_controller
 from arm_emulator.servo.servo_arm import ServoArm, Target
-from oracles.followed_line import AssumedNumbers, follow
+from oracles.followed_line import AssumedNumbers, follow_line
 
 GRAVITY = (0.0, 0.0, -9.81)
 NONE = np.full(6, np.inf)
@@ -294,7 +294,7 @@ def test_a_joint_without_weight_is_taken_to_be_as_wrong_as_those_that_it_carries
 )
 def test_the_tool_follows_a_fast_line(knowledge: AssumedNumbers, bound: float) -> None:
     """300 mm at 1 m/s with ur5: the true tool beside its reference, through the whole machine."""
-    result = follow("ur5", knowledge)
+    result = follow_line("ur5", knowledge)
     assert result.peak_speed == pytest.approx(1.0, rel=0.02)
     assert result.off < bound
     assert result.past < bound
@@ -304,8 +304,8 @@ def test_the_tool_follows_a_fast_line(knowledge: AssumedNumbers, bound: float) -
 def test_better_numbers_reduce_the_error() -> None:
     """Each mode of feed-forward leaves less than the one before, and 50 % off is between."""
     modes = "none", "speed", "torque", "full"
-    off = {mode: follow("ur5", AssumedNumbers(mode)).off for mode in modes}
-    half = follow("ur5", AssumedNumbers("full", stiffness=1.5, friction=1.5, inertia=0.5)).off
+    off = {mode: follow_line("ur5", AssumedNumbers(mode)).off for mode in modes}
+    half = follow_line("ur5", AssumedNumbers("full", stiffness=1.5, friction=1.5, inertia=0.5)).off
     assert off["none"] > 10.0 * off["speed"]
     assert off["full"] < half < off["torque"] <= 1.05 * off["speed"]
 

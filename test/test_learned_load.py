@@ -12,8 +12,8 @@ from one_motor import PERIOD, Drivetrain
 
 from arm_emulator.servo.servo import ServoConfig
 from arm_emulator.servo.servo_arm import ServoArm, Target
-from bench.tool_paths import drive
-from oracles.followed_line import AssumedNumbers, follow
+from bench.tool_paths import drive_tool
+from oracles.followed_line import AssumedNumbers, follow_line
 
 # A count of 16 bits shows loads of 0.03 N m at the link; one of 10 bits hides all of them.
 JOINT = dataclasses.replace(COARSE, counts_per_turn=2**16)
@@ -144,7 +144,7 @@ def test_heavier_links_are_followed_nearly_as_well(scene: str, wrong: float) -> 
 
     Without a factor ur5 leaves 0.57 and 0.69 mm beside that, panda 0.98 and 0.97 mm.
     """
-    result = follow(scene, AssumedNumbers("full", inertia=wrong))
+    result = follow_line(scene, AssumedNumbers("full", inertia=wrong))
     assert result.off - result.unseen < {"ur5": 0.5e-3, "panda": 0.8e-3}[scene]
 
 
@@ -196,7 +196,7 @@ def test_friction_that_releases_its_load_is_no_disturbance(scene: str, seed: int
     With announced torques that do not know it the tool is up to 0.61 mm beside it (panda: 0.72).
     """
     side = tuple(np.random.default_rng(seed).normal(0.0, 0.03, 3).tolist())
-    outcome = drive(scene, "circle", 0.25, side)
+    outcome = drive_tool(scene, "circle", 0.25, side)
     assert outcome.end == "REACHED"
     assert outcome.off.max() < 0.4e-3
 
@@ -209,6 +209,6 @@ def test_friction_of_an_arm_at_rest_is_no_reason_for_a_factor(scene: str, kind: 
     A factor learned from what the friction lets go of at the start took the true tool 0.32 to
     0.49 mm off its path.
     """
-    outcome = drive(scene, kind, 0.25)
+    outcome = drive_tool(scene, kind, 0.25)
     assert outcome.end == "REACHED"
     assert outcome.off.max() < 0.3e-3

@@ -9,7 +9,7 @@ from draws import some, with_slow
 from arm_emulator import Kinematics, Scene, load_gains, load_scene
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.runs.gains import Gains
-from oracles.any_arm import draw_reachable, move
+from oracles.any_arm import draw_reachable, move_arm
 from oracles.own_robots import OWN
 
 ARMS = "scara", "spherical_wrist", "tilted"
@@ -42,7 +42,7 @@ def test_links_keep_their_accelerations(
     for _ in range(3):
         pair = draw_reachable(kinematics, 0.3 * min(1.0, kinematics.reach / 0.8), rng)
         assert pair is not None
-        outcome = move(scene, dataclasses.replace(gains, servo=servo, motion=motion), "", *pair)
+        outcome = move_arm(scene, dataclasses.replace(gains, servo=servo, motion=motion), "", *pair)
         assert not outcome.words
         assert outcome.peak_acceleration < 1.0
         assert outcome.peak_speed < 1.0

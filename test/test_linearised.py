@@ -53,7 +53,7 @@ def derivatives(machine: ReferenceMachine, scene: Scene, of: LinearMachine) -> t
         x[place] = value
 
     def rates(x: Array, u: Array) -> Array:
-        dx = machine.rates(0.0, x.ravel(), u).reshape(6, N)
+        dx = machine.compute_rates(0.0, x.ravel(), u).reshape(6, N)
         return np.array([dx[place] for place in at])
 
     columns, h = [], 2.0**-12

@@ -12,7 +12,7 @@ from test_new_drives import untuned
 from arm_emulator import Kinematics, Plant, load_gains, load_scene
 from arm_emulator.analysis.holding import find_overloads
 from arm_emulator.design.new_scene import write_new
-from oracles.any_arm import draw_reachable, move
+from oracles.any_arm import draw_reachable, move_arm
 from oracles.own_robots import RobotPart, write_serial
 
 __all__ = ["untuned"]  # a fixture
@@ -58,7 +58,7 @@ def test_gravity_in_the_scene_is_a_base_that_is_turned(mount: str, tmp_path: Pat
     kinematics = Kinematics(upright.urdf, upright.joint_names, upright.tool)
     pair = draw_reachable(kinematics, 0.1, np.random.default_rng(3))
     assert pair is not None
-    done = move(upright, gains, "100 mm", *pair)
+    done = move_arm(upright, gains, "100 mm", *pair)
     assert not done.words and done.peak_speed <= 1.0 and done.seconds < 6.0, done
     assert not done.has_overshot, done
 

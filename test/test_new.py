@@ -20,7 +20,7 @@ from arm_emulator.design.robot_file import read_limits
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.motion.planner.tool_controller import make_controller
 from arm_emulator.runs.gains import check_fit
-from oracles.any_arm import draw_reachable, move
+from oracles.any_arm import draw_reachable, move_arm
 from oracles.own_robots import OWN, Robot, RobotPart, write_serial
 
 __all__ = ["untuned"]  # a fixture
@@ -47,16 +47,18 @@ def robot_with_gripper(draw: np.random.Generator) -> tuple[str, list[str], list[
     """Return an arm with a gripper of two or more fingers, the arm's joints and the fingers'."""
     robot = Robot("gripped")
     arm = int(draw.integers(MIN_ARM, 8))
-    robot.link("base")
+    robot.add_link("base")
     at = "base"
     for k in range(arm):
         part = RobotPart("0 1 0", (0.2, 0.0, 0.0))
         if draw.random() < 0.4:  # frames between the joints
-            robot.link(f"frame{k}")
-            robot.joint(f"fixed{k}", "fixed", (at, f"frame{k}"), "0 0 0", "0 0 0|")
+            robot.add_link(f"frame{k}")
+            robot.add_joint(f"fixed{k}", "fixed", (at, f"frame{k}"), "0 0 0", "0 0 0|")
             at = f"frame{k}"
-        robot.link(f"arm{k}", part)
-        robot.joint(f"a{k}", "revolute", (at, f"arm{k}"), "0.2 0 0", '0 0 0|<axis xyz="0 1 0"/>')
+        robot.add_link(f"arm{k}", part)
+        robot.add_joint(
+            f"a{k}", "revolute", (at, f"arm{k}"), "0.2 0 0", '0 0 0|<axis xyz="0 1 0"/>'
+        )
         at = f"arm{k}"
     fingers = []
     long = int(draw.integers(1, MAX_FINGER + 1))
@@ -64,12 +66,12 @@ def robot_with_gripper(draw: np.random.Generator) -> tuple[str, list[str], list[
         below = at
         for k in range(long):
             name = f"f{f}{k}"
-            robot.link(name, RobotPart("0 1 0", (0.02, 0.0, 0.0), 0.01))
+            robot.add_link(name, RobotPart("0 1 0", (0.02, 0.0, 0.0), 0.01))
             mimic = '<mimic joint="f00"/>' if f and draw.random() < 0.5 else ""
-            robot.joint(name, "revolute", (below, name), "0 0 0", f"0 0 0|{mimic}")
+            robot.add_joint(name, "revolute", (below, name), "0 0 0", f"0 0 0|{mimic}")
             fingers.append(name)
             below = name
-    return robot.text(), [f"a{k}" for k in range(arm)], fingers
+    return robot.write_urdf(), [f"a{k}" for k in range(arm)], fingers
 
 
 @pytest.mark.parametrize("seed", with_slow(range(30), 10))
@@ -147,16 +149,16 @@ def test_odd_names_survive_the_files(seed: int, tmp_path: Path) -> None:
     draw = np.random.default_rng(seed)
     names = draw.permutation(ODD_NAMES)[:4].tolist()
     robot = Robot("odd")
-    robot.link("base of it")
+    robot.add_link("base of it")
     at = "base of it"
     for k, name in enumerate(names):
-        robot.link(f"link {name}".replace('"', "&quot;"), RobotPart("0 1 0", (0.2, 0.0, 0.0)))
+        robot.add_link(f"link {name}".replace('"', "&quot;"), RobotPart("0 1 0", (0.2, 0.0, 0.0)))
         ends = (at, f"link {name}".replace('"', "&quot;"))
         axis = f'0 0 0|<axis xyz="0 {k % 2} {1 - k % 2}"/>'
-        robot.joint(name.replace('"', "&quot;"), "continuous", ends, "0.2 0 0", axis)
+        robot.add_joint(name.replace('"', "&quot;"), "continuous", ends, "0.2 0 0", axis)
         at = ends[1]
     file = tmp_path / f"{draw.choice(['an arm', 'x.y', 'on', '1', '-'])}.urdf"
-    file.write_text(robot.text(), encoding="utf-8")
+    file.write_text(robot.write_urdf(), encoding="utf-8")
     written = write_new(file, tmp_path / "out")
     scene, gains = load_scene(written.file), load_gains(written.file)
     check_fit(scene, gains.servo, gains.motion)
@@ -383,7 +385,7 @@ def test_a_new_arm_goes_where_it_is_sent(name: str, tmp_path: Path) -> None:
     for _ in range(3):
         pair = draw_reachable(kinematics, 0.05, rng)
         assert pair is not None
-        outcome = move(scene, gains, "50 mm", *pair)
+        outcome = move_arm(scene, gains, "50 mm", *pair)
         assert not outcome.words, outcome.words
         assert outcome.seconds < 12.0 and outcome.peak_speed <= 1.0, outcome
 

@@ -21,10 +21,10 @@ from arm_emulator.machine.scene.known_parts import PARTS
 from oracles.mixtures import (
     PERIOD,
     STEPS,
-    converge,
     draw_alone,
     draw_commands,
-    run,
+    find_converged,
+    run_rows,
     write_scene,
 )
 
@@ -65,13 +65,15 @@ def test_motions_and_the_balance_of_energy_are_of_order_two(parts: Parts, tmp_pa
 
     @cache
     def moved(steps: int) -> tuple[np.ndarray, float]:
-        return run(scene_of(tmp_path, parts, steps), 0, rows, steps)
+        return run_rows(scene_of(tmp_path, parts, steps), 0, rows, steps)
 
     deflected = [part for part in parts if issubclass(part, Deflection)]
     assert moved(STEPS[0])[0].shape[1] == len(parts) + len(deflected), "each deflection is judged"
     owners = [part for part in parts for _ in range(1 + (part in deflected))]
     for k, part in enumerate(owners):
-        verdict, q = converge(0, [], lambda steps, k=k: (moved(steps)[0][:, k], moved(steps)[1]))
+        verdict, q = find_converged(
+            0, [], lambda steps, k=k: (moved(steps)[0][:, k], moved(steps)[1])
+        )
         is_deflection = part in owners[:k]
         least = DEFLECTED if is_deflection else 1e-3
         assert np.ptp(q) > least, f"a motion of {part.__name__} [m or rad]"

@@ -28,7 +28,7 @@ def judge(share: int, scheme: str, folder: Path) -> None:
         place.mkdir()
         file = part_pairs.write_machine(place, joints, machine)
         for seed in range(DRAWS):
-            verdict = part_pairs.judge(file, joints, machine, seed, scheme)
+            verdict = part_pairs.judge_pair(file, joints, machine, seed, scheme)
             assert verdict.in_order, verdict
 
 

@@ -4,7 +4,7 @@ import pytest
 from draws import some
 
 from arm_emulator.machine.schemes.known import KNOWN, LOCATING_SCHEMES
-from oracles.random_machines import judge
+from oracles.random_machines import judge_machine
 
 pytestmark = pytest.mark.slow
 
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 @pytest.mark.parametrize("seed", some([31, 138, 10, 381, 1, 0, 470, 2, 3, 4], 1))
 def test_error_and_energy_follow_the_order(seed: int) -> None:
     """At a step and its tenth; `python -m bench.claims random_machines` has hundreds."""
-    (verdict,) = judge(seed, (LOCATING_SCHEMES[seed % 2],))
+    (verdict,) = judge_machine(seed, (LOCATING_SCHEMES[seed % 2],))
     assert verdict.is_in_order, f"the error does not fall as h squared: {verdict}"
     assert verdict.is_balance_in_order, f"what is left of energy does not fall so: {verdict}"
     assert verdict.is_balanced, f"more of the energy is left in steps of 1 us: {verdict}"
@@ -25,6 +25,6 @@ def test_error_and_energy_follow_the_order(seed: int) -> None:
 )
 def test_first_order_remains_without_location(seed: int, scheme: str) -> None:
     assert KNOWN[scheme].order == 1
-    (verdict,) = judge(seed, (scheme,))
+    (verdict,) = judge_machine(seed, (scheme,))
     assert verdict.is_in_order, f"the error does not fall as h: {verdict}"
     assert verdict.is_balance_in_order, f"what is left of energy does not fall so: {verdict}"

@@ -27,7 +27,7 @@ from arm_emulator.machine.varied import (
     vary_child,
     write_expressions,
 )
-from oracles.mixtures import STEPS, draw_commands, push, write_mixture
+from oracles.mixtures import STEPS, draw_commands, push_link, write_mixture
 from oracles.random_chain import list_moving_joints, write_random_chain
 
 SENSORS: dict[str, Any] = {
@@ -214,7 +214,7 @@ def moved(scene: Scene, values: dict[str, float], seed: int) -> tuple[np.ndarray
     for name, value in values.items():
         plant.set_parameter(name, value)
     plant.reset()
-    push(plant, seed)
+    push_link(plant, seed)
     for command in draw_commands(scene, seed):
         plant.exchange(command)
         x = plant.state

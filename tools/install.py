@@ -41,7 +41,7 @@ WITHOUT_EFFECT = {
 }  # fmt: skip
 
 
-def pip_options(listed: str) -> dict[str, str]:
+def read_pip_options(listed: str) -> dict[str, str]:
     """Return what `pip config list` lists, as it counts for `pip install`: the last one wins."""
     rank = {"global": 0, "install": 1, ":env:": 2}
     options: dict[str, tuple[int, str]] = {}
@@ -69,7 +69,7 @@ def convert_to_uv_variables(options: dict[str, str]) -> tuple[dict[str, str], li
 def install_by_uv(files: list[str]) -> str:
     """Install by uv; return why not, or nothing where it is done."""
     listed = subprocess.run([*PIP, "config", "list"], capture_output=True, text=True, check=False)
-    variables, unknown = convert_to_uv_variables(pip_options(listed.stdout))
+    variables, unknown = convert_to_uv_variables(read_pip_options(listed.stdout))
     if listed.returncode or unknown:
         return f"pip's options {', '.join(unknown) or 'are not readable'}"
     versions = Path(__file__).resolve().parents[1] / "requirements.txt"

@@ -258,7 +258,7 @@ def test_numbers_of_its_links_explain_the_torques_that_its_gears_carry(machine: 
     viscous = [getattr(joint.friction, "viscous", 0.0) for joint in scene.joints]
     torques = compute_link_torques(scene, np.arange(20.0), q, v, a) - v * viscous
     for k in range(20):
-        accelerations = machine.truth.accelerations(q[k], v[k], torques[k])
+        accelerations = machine.truth.compute_accelerations(q[k], v[k], torques[k])
         np.testing.assert_allclose(accelerations, a[k], rtol=1e-9, atol=1e-9)
 
 

@@ -383,14 +383,14 @@ def test_drives_refuse_values_that_no_object_can_carry(scene: Scene) -> None:
 
 def test_tables_of_the_site_have_all_of_them() -> None:
     """As they are generated from what parts declare; each line leads to a page that is there."""
-    rows = tables.outputs("")
+    rows = tables.list_outputs("")
     assert all(f"| `{name}` |" in rows for name in KNOWN)
-    rows = tables.inputs("")
+    rows = tables.list_inputs("")
     assert all(f"| `{input.name}` |" in rows for kind in MOTORS for input in kind.inputs)
-    rows = tables.sensors("")
+    rows = tables.list_sensors("")
     for part in SENSOR_PARTS:
         assert "| `imus` |" in rows if part.owners == "imus" else part.section in rows, part.section
-    rows = tables.parts("../reference/scene.md")
+    rows = tables.list_parts("../reference/scene.md")
     for page in re.findall(r"\]\((\S+)\)", rows):
         assert (DOCS / "concepts" / page).is_file(), page
     assert all(f"`{part.section}`" in rows for part in PARTS if part not in MOTORS)

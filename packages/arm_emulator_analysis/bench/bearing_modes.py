@@ -24,7 +24,7 @@ STIFFNESS = (None, 10.0, 3.0, 1.0)  # times that of the joint's gear; None: rigi
 FREQUENCIES = np.geomspace(1.0, 100.0, 4001)  # Hz
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Find the antiresonances of the tilting joints for each stiffness."""
     rows = []
     chosen = STIFFNESS[: 2 if quick else None]
@@ -63,7 +63,7 @@ def load_tilting(factor: float | None) -> Scene:
     return load_scene(SCENE, bearings)
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the table."""
     rows = []
     for row in figures["rows"]:
@@ -76,4 +76,4 @@ def report(figures: dict[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    print(report(run(False)))
+    print(write_report(run_bench(False)))

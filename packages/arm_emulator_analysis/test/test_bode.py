@@ -132,11 +132,11 @@ def test_a_published_axis_responds_as_its_masses(axis: Masses) -> None:
     outer = dataclasses.replace(
         axis, friction=(*axis.friction[:2], *(0.0 for _ in axis.springs[1:]))
     )
-    assert speed == pytest.approx(outer.respond(frequencies), rel=1e-9)
+    assert speed == pytest.approx(outer.compute_response(frequencies), rel=1e-9)
     code, out, errors = run("bode", axis.scene, "--json", "--high", "100")
     assert code == 0, errors
     axis_facts = json.loads(out)["joints"]["axis"]
     grid = np.geomspace(1.0, 100.0, 20001)
-    gain = np.abs(outer.respond(grid))
+    gain = np.abs(outer.compute_response(grid))
     dips = grid[1:-1][(gain[1:-1] < gain[:-2]) & (gain[1:-1] < gain[2:])]
     assert axis_facts["antiresonances"] == pytest.approx(dips.tolist(), rel=1e-3)  # 2000 per decade

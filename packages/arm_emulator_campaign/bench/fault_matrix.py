@@ -9,12 +9,12 @@ from arm_emulator_campaign.fault_matrix import UNDETECTED, FaultRow, find_worst,
 from bench.tables import format_table
 
 
-def run(quick: bool) -> list[FaultRow]:
+def run_bench(quick: bool) -> list[FaultRow]:
     """Try all faults."""
     return try_faults("three_axis")
 
 
-def report(rows_of: list[FaultRow]) -> str:
+def write_report(rows_of: list[FaultRow]) -> str:
     """Return the table of the worst joint of each kind."""
     rows = []
     for row in find_worst(rows_of):
@@ -23,7 +23,7 @@ def report(rows_of: list[FaultRow]) -> str:
     return format_table(("fault", "detected by", "after", "tool off its way"), rows)
 
 
-def draw(rows: list[FaultRow], folder: Path) -> Path:
+def draw_figures(rows: list[FaultRow], folder: Path) -> Path:
     """Draw the tool's travel until a fault is detected; return the picture's file."""
     picture = folder / "faults.png"
     matrix.draw_matrix(rows, "Faults of three_axis in a move of 71 mm and back", picture)

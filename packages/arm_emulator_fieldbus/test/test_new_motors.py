@@ -18,7 +18,7 @@ from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.scene.known_parts import SIZED_MOTORS
 from arm_emulator.runs.gains import check_fit
 from arm_emulator_fieldbus.object_dictionary import modes
-from oracles.any_arm import draw_reachable, list_arms, move
+from oracles.any_arm import draw_reachable, list_arms, move_arm
 from oracles.own_robots import OWN
 
 KINDS = {kind.kind: kind for kind in SIZED_MOTORS}
@@ -73,7 +73,7 @@ def test_an_arm_with_it_goes_where_it_is_sent_and_takes_torques(
     for _ in range(2):
         pair = draw_reachable(kinematics, 0.05, rng)
         assert pair is not None
-        motion = move(scene, gains, "50 mm", *pair)
+        motion = move_arm(scene, gains, "50 mm", *pair)
         assert not motion.words, motion.words
     assert list_withheld_modes(scene, gains.servo, modes()) == []
     if FULL:

@@ -17,10 +17,10 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.machine.schemes.known import SCHEMES
 from arm_emulator_fleet import Fleet
 from bench.bare import BARE
-from bench.measure import Task, show_progress, time_interleaved
+from bench.measure import Task, measure_interleaved, show_progress
 from bench.motion import SERVO_PERIOD, make_sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm, end_of, import_mujoco
-from bench.pictures import COLOURS, make_figure, save
+from bench.pictures import COLOURS, make_figure, save_picture
 from bench.tables import format_table
 from bench.work_precision import list_steps
 from oracles.reference import solve_positions
@@ -41,7 +41,7 @@ ENV_ARMS, ENV_STEPS, ENV_TICKS = 1024, 40, 10  # the arms' episodes have 20 step
 CHUNK = 2000  # steps of one call of rollout: of its states, which it keeps, some 30 MB
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Measure throughput of every arm, then time per step and time at an error."""
     repetitions = 3 if quick else 9
     cores = len(os.sched_getaffinity(0))
@@ -84,12 +84,13 @@ def _measure_throughput(
         "one core": _make_task(fleet, rows),
         "all cores": _make_task(wide, rows),
     }
-    timings = time_interleaved(
+    timings = measure_interleaved(
         tasks, repetitions, lambda task: done(name) if task == "one arm" else None
     )
     steps = {"one arm": len(single), "one core": rows.size // N, "all cores": rows.size // N}
     per_step = {
-        task: asdict(timing.per(steps[task] * STEPS_PER_PERIOD)) for task, timing in timings.items()
+        task: asdict(timing.divide_by(steps[task] * STEPS_PER_PERIOD))
+        for task, timing in timings.items()
     }
     return {"lanes": fleet.lanes, "per_step": per_step}
 
@@ -155,9 +156,11 @@ def _measure_per_step(repetitions: int) -> dict[str, Any]:
         peer = Rollout(scenes["paper"], integrator, dt, COUNT, threads=1)
         tasks[f"MuJoCo {integrator}"] = _make_task(peer, few)
     with show_progress("per step", repetitions * len(tasks)) as done:
-        timings = time_interleaved(tasks, repetitions, done)
+        timings = measure_interleaved(tasks, repetitions, done)
     return {
-        task: asdict(timing.per((few if task not in SCHEMES else rows).size / N * STEPS_PER_PERIOD))
+        task: asdict(
+            timing.divide_by((few if task not in SCHEMES else rows).size / N * STEPS_PER_PERIOD)
+        )
         for task, timing in timings.items()
     }
 
@@ -170,19 +173,21 @@ def _measure_environment(repetitions: int) -> dict[str, Any]:
     for place, device in (("lanes", None), ("kernels on the processor", "processor")):
         env = make("three_axis", ENV_ARMS, ticks=ENV_TICKS, device=device)
 
-        def play(_: object, env: Any = env) -> None:
+        def play_episode(_: object, env: Any = env) -> None:
             for action in actions:
                 env.step(action)
 
-        def begin(_: object, env: Any = env) -> None:
+        def reset_environment(_: object, env: Any = env) -> None:
             env.reset(seed=1)
 
-        tasks[place] = Task(play, begin)
+        tasks[place] = Task(play_episode, reset_environment)
     with show_progress("environment", repetitions) as done:
-        timings = time_interleaved(
+        timings = measure_interleaved(
             tasks, repetitions, lambda task: done(task) if task == "lanes" else None
         )
-    return {task: asdict(timing.per(ENV_STEPS * ENV_ARMS)) for task, timing in timings.items()}
+    return {
+        task: asdict(timing.divide_by(ENV_STEPS * ENV_ARMS)) for task, timing in timings.items()
+    }
 
 
 def _measure_at_error(quick: bool) -> dict[str, Any]:
@@ -223,11 +228,11 @@ def _measure_at_error(quick: bool) -> dict[str, Any]:
                     break
             done(integrator)
     with show_progress("time at an error", len(tasks) * (1 if quick else 3)) as done:
-        timings = time_interleaved(tasks, 1 if quick else 3, done)
+        timings = measure_interleaved(tasks, 1 if quick else 3, done)
     return {
         "target": TARGET,
         "times": {
-            name: timing.per(COUNT if name in SCHEMES else COUNT / PART).median
+            name: timing.divide_by(COUNT if name in SCHEMES else COUNT / PART).median
             for name, timing in timings.items()
         },
     }
@@ -263,7 +268,7 @@ def compare_lanes(figures: dict[str, Any], arm: str, scheme: str) -> float:
     return float(per_step["one arm"]["median"] / per_step["one core"]["median"])
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the section in Markdown."""
     lines = [
         f"A `Fleet` of {figures['count']} arms, each with voltages of its own, {STEPS_PER_PERIOD} "
@@ -317,7 +322,7 @@ def report(figures: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def draw(figures: dict[str, Any], folder: Path) -> None:
+def draw_figures(figures: dict[str, Any], folder: Path) -> None:
     """Draw arm-steps per second of one arm and of fleets."""
     figure = make_figure(10.0, 4.2)
     arms = list(figures["throughput"])
@@ -336,4 +341,4 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
         axes.set_axisbelow(True)
     panels[0].set_ylabel("million arm-steps per second")
     panels[-1].legend(frameon=False)
-    save(figure, folder, "fleet")
+    save_picture(figure, folder, "fleet")

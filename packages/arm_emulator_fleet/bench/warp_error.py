@@ -14,7 +14,7 @@ from bench.fleet import make_bare_scene
 from bench.measure import show_progress
 from bench.motion import SERVO_PERIOD, make_sines
 from bench.mujoco_peer import MujocoArm, end_of
-from bench.pictures import COLOURS, make_figure, save
+from bench.pictures import COLOURS, make_figure, save_picture
 from bench.tables import format_table
 from oracles.reference import solve_positions
 
@@ -26,7 +26,7 @@ STEPS = (1, 2, 5)  # in a period of 1 ms: on a processor it takes minutes for mo
 OURS = "rosenbrock"
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Measure the error of each arm after a second."""
     arms, steps = (ARMS[:1], STEPS[:1]) if quick else (ARMS, STEPS)
     figures: dict[str, Any] = {"steps": list(steps), "arms": {}}
@@ -68,7 +68,7 @@ def _end_in_warp(arm: MujocoArm, rows: Array, steps: int) -> Array | None:
     return q if np.isfinite(q).all() else None
 
 
-def draw(figures: dict[str, Any], folder: Path) -> None:
+def draw_figures(figures: dict[str, Any], folder: Path) -> None:
     """Draw error against step."""
     figure = make_figure(4.6 * len(figures["arms"]), 4.4)
     panels = figure.subplots(1, len(figures["arms"]), squeeze=False)[0]
@@ -85,10 +85,10 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
     panels[0].set_ylabel("error after 1 s [rad]")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
-    save(figure, folder, "warp_error")
+    save_picture(figure, folder, "warp_error")
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the section in Markdown."""
     heads = [f"{SERVO_PERIOD / count * 1e3:g} ms" for count in figures["steps"]]
     rows = [

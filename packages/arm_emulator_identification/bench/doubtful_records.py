@@ -333,7 +333,7 @@ def make_clean_record(machine: str, seed: int) -> tuple[Scene, MeasuredRun]:
     return scene, make_record(driven, seed, SECONDS, ANGLE_NOISE, TORQUE_NOISE, values)
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Measure both."""
     effects = [
         (*record, effect) for effect in EFFECTS for record in RECORDS[: 1 if quick else None]
@@ -359,7 +359,7 @@ def run(quick: bool) -> dict[str, Any]:
     return {"effects": rows, "spoiled": spoiled}
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the section."""
     rows, spoiled = figures["effects"], figures["spoiled"]
     well = sum(row["inside"] >= 0.9 for row in rows)

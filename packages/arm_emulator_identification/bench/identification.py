@@ -185,7 +185,7 @@ def predict_second_run(law: dict[str, float]) -> np.ndarray:
     return compute_explained(second.tau, motion.torques(fit.values) - second.tau, second.moving)
 
 
-def run(quick: bool) -> dict[str, Any]:
+def run_bench(quick: bool) -> dict[str, Any]:
     """Measure over seeds."""
     scene, seeds, machines = load_truth(), 5 if quick else 50, 5 if quick else 20
     every, loaded, rigid, loops = [], [], [], []
@@ -217,7 +217,7 @@ def _judge(every: list[np.ndarray]) -> dict[str, Any]:
     }
 
 
-def report(figures: dict[str, Any]) -> str:
+def write_report(figures: dict[str, Any]) -> str:
     """Return the section."""
     loaded, rigid, first = figures["loaded"], figures["rigid"], figures["held_out"]
     loops = figures["loops"]
