@@ -136,7 +136,8 @@ def _list_cells(outcome: ArmOutcome) -> list[str]:
         outcome.name.removeprefix("own: "),
         str(outcome.joints),
         *(
-            f"{sum(not m.words for m in outcome.select_moves(key))}/{len(outcome.select_moves(key))}"
+            f"{sum(not m.words for m in outcome.select_moves(key))}"
+            f"/{len(outcome.select_moves(key))}"
             for key in DISTANCES_NAMED
         ),
         f"{np.median(times):.2f}",

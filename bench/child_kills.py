@@ -33,7 +33,7 @@ import numpy as np
 from arm_emulator import Plant
 from arm_emulator.base.run_outputs import NOTHING, RunOutputs
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.page.control_server import watched
+from arm_emulator.page.control_server import serve_controls
 from arm_emulator.runs.recorder import Recorder
 child, folder = sys.argv[1:]
 signal.signal(signal.SIGINT, signal.default_int_handler)  # what a script begins with & ignores it
@@ -41,7 +41,7 @@ kept = {"page": NOTHING, "recorder": RunOutputs(record=Path(folder, "a.mcap")),
         "viewer": RunOutputs(rerun=folder + "/a.rrd")}[child]
 plant, port = Plant("three_axis"), "0" if child == "page" else None
 try:
-    with Recorder(plant, kept, waits=True), watched(plant, port) as server:
+    with Recorder(plant, kept, waits=True), serve_controls(plant, port) as server:
         print("ready", flush=True)
         while not sys.stdin.closed and server.poll():
             for _ in range(20):

@@ -155,7 +155,8 @@ def write_mjcf(scene: Scene, integrator: str, dt: float) -> str:
     links += "</body>" * len(scene.joints)
     return f"""<mujoco>
 <compiler angle="radian"/>
-<option timestep="{dt!r}" integrator="{integrator}" gravity="{_join_values(scene.gravity or (0, 0, 0))}">
+<option timestep="{dt!r}" integrator="{integrator}"
+ gravity="{_join_values(scene.gravity or (0, 0, 0))}">
 <flag {flags}/></option>
 <worldbody>{rotors}{links}</worldbody>
 <tendon>{gears}</tendon>
@@ -173,8 +174,10 @@ def _write_link(model: pin.Model, index: int, joint: Joint) -> str:
     rigid = joint.motor is not None and joint.gear.stiffness is None
     carried = joint.motor.inertia / joint.gear.ratio**2 if rigid and joint.motor else 0.0
     return f"""
-<body pos="{_join_values(placement.translation)}" quat="{_join_values((turn.w, turn.x, turn.y, turn.z))}">
-<inertial mass="{inertia.mass!r}" pos="{_join_values(inertia.lever)}" fullinertia="{_join_values(tensor)}"/>
+<body pos="{_join_values(placement.translation)}"
+ quat="{_join_values((turn.w, turn.x, turn.y, turn.z))}">
+<inertial mass="{inertia.mass!r}" pos="{_join_values(inertia.lever)}"
+ fullinertia="{_join_values(tensor)}"/>
 <joint name="{joint.name}" type="{kind}" axis="{_join_values(axis)}"
  damping="{joint.friction.viscous!r}" armature="{carried!r}"/>"""
 

@@ -59,7 +59,7 @@ def put_table(text: str, name: str, table: str) -> str:
 
 def _write_table(name: str, page: Path) -> None:
     section = importlib.import_module(f"bench.{name}")
-    table = section.report(section.run(False))
+    table = section.write_report(section.run_bench(False))
     page.write_text(put_table(page.read_text(encoding="utf-8"), name, table), encoding="utf-8")
 
 
@@ -74,7 +74,7 @@ def _make_command(file: str, *words: str, into: str = "--out") -> Callable[[Path
     return make_file
 
 
-def _draw_by_bench(name: str, function: str = "picture") -> Callable[[Path], Path]:
+def _draw_by_bench(name: str, function: str = "draw_picture") -> Callable[[Path], Path]:
     """Return what makes a picture by a bench that draws at once."""
 
     def make_file(scratch: Path) -> Path:
@@ -89,7 +89,7 @@ def _draw_by_section(name: str, file: str, quick: bool = False) -> Callable[[Pat
 
     def make_file(scratch: Path) -> Path:
         section = importlib.import_module(f"bench.{name}")
-        section.draw(section.run(quick), scratch)
+        section.draw_figures(section.run_bench(quick), scratch)
         return scratch / file
 
     return make_file

@@ -96,7 +96,7 @@ def run_benches(quick: bool, only: list[str], out: Path, publish: Path | None) -
         console.rule(section.TITLE)
         started = time.monotonic()
         try:
-            figures["sections"][name] = section.run(quick)
+            figures["sections"][name] = section.run_bench(quick)
         except Exception as error:
             # One section that fails does not discard minutes of measurements.
             traceback.print_exc()
@@ -126,8 +126,8 @@ def write_report(figures: dict[str, Any], out: Path) -> None:
     """Write report.md and the pictures from figures."""
     for name, values in _convert_to_json(figures)["sections"].items():
         section: ModuleType = importlib.import_module(f"bench.{name}")
-        if hasattr(section, "draw"):
-            section.draw(values, out)
+        if hasattr(section, "draw_figures"):
+            section.draw_figures(values, out)
     (out / "report.md").write_text(report_text(figures), encoding="utf-8")
 
 
@@ -145,7 +145,7 @@ def report_text(figures: dict[str, Any]) -> str:
     lines += ["## What this does not prove", "", NOT_PROVEN]
     for name, values in figures["sections"].items():
         section: ModuleType = importlib.import_module(f"bench.{name}")
-        lines += ["", f"## {section.TITLE}", "", section.report(values)]
+        lines += ["", f"## {section.TITLE}", "", section.write_report(values)]
     for name, reason in figures["failed"].items():
         lines += ["", f"## {name}", "", f"**Failed**: {reason}"]
     return "\n".join(lines) + "\n"

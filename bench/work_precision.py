@@ -30,7 +30,7 @@ from oracles.reference import solve_positions
 
 TITLE = "Work and precision"
 
-__all__ = ["TITLE", "draw", "report", "run"]  # of a section
+__all__ = ["TITLE", "draw_figures", "run_bench", "write_report"]  # of a section
 
 FACTORS = (1.0, 0.5, 0.2)  # of the decades of the step
 TARGETS = (1e-4, 1e-5, 1e-6, 1e-8)  # rad

@@ -95,16 +95,16 @@ class Ends:
         return Shutdown(reason=f"{event.action.name} ended")
 
 
-def nodes(context: LaunchContext) -> list[Node]:
+def make_nodes_or_exit(context: LaunchContext) -> list[Node]:
     """Return the nodes, or end the launch in a line with exit code 2 if they are refused."""
     try:
-        return nodes_of(context)
+        return make_nodes(context)
     except Refusal as refusal:
         print(refusal, file=sys.stderr)
         sys.exit(2)  # not as an exception, of which `ros2 launch` makes exit code 1
 
 
-def nodes_of(context: LaunchContext) -> list[Node]:
+def make_nodes(context: LaunchContext) -> list[Node]:
     """Return the three nodes, with the parameter files of the chosen scene.
 
     Raises:
@@ -134,7 +134,7 @@ def nodes_of(context: LaunchContext) -> list[Node]:
     chosen = [str(Path(params_file).resolve())] if params_file else []
     ends = Ends()
 
-    def node(name: str, *parameters: dict | str) -> Node:
+    def make_node(name: str, *parameters: dict | str) -> Node:
         return Node(
             package="arm_emulator",
             executable=f"{name}_node",
@@ -150,15 +150,15 @@ def nodes_of(context: LaunchContext) -> list[Node]:
         )
 
     three = [
-        node("emulator", emulator),
-        node("servo", gains["servo"], {"clock": clock}),
-        node("motion_controller", gains["motion"]),
+        make_node("emulator", emulator),
+        make_node("servo", gains["servo"], {"clock": clock}),
+        make_node("motion_controller", gains["motion"]),
     ]
     ends.running = len(three)
-    return [*three, *frames(load_scene(file), namespace, every)]
+    return [*three, *make_frame_publishers(load_scene(file), namespace, every)]
 
 
-def frames(scene: Scene, namespace: str, every: dict) -> list[Node]:
+def make_frame_publishers(scene: Scene, namespace: str, every: dict) -> list[Node]:
     """Return what publishes the links' frames on /tf, where it is installed.
 
     It gets the description that the emulator publishes on `robot_description` as a parameter, since
@@ -184,4 +184,4 @@ def frames(scene: Scene, namespace: str, every: dict) -> list[Node]:
 
 def generate_launch_description() -> LaunchDescription:
     """Return what `ros2 launch` is to start."""
-    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=nodes)])
+    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=make_nodes_or_exit)])

@@ -287,7 +287,7 @@ def make_nine_joints() -> str:
 
 
 OWN: dict[str, Callable[[], str]] = {
-    make.__name__: make
+    make.__name__.removeprefix("make_"): make
     for make in (
         make_pendulum,
         make_planar,

@@ -52,7 +52,8 @@ def _write_random_urdf(
             text += LINK.format(
                 name=name, kind=kind, parent=parent, xyz=_join_values(rng.normal(0, 0.2, 3)),
                 rpy=_join_values(rng.uniform(-3, 3, 3)), axis=_join_values(rng.normal(size=3)),
-                com=_join_values(rng.normal(0, 0.1, 3)), com_rpy=_join_values(rng.uniform(-3, 3, 3)),
+                com=_join_values(rng.normal(0, 0.1, 3)),
+                com_rpy=_join_values(rng.uniform(-3, 3, 3)),
                 mass=rng.uniform(0.5, 3.0), ixx=I[0, 0], iyy=I[1, 1], izz=I[2, 2], ixy=I[0, 1],
                 ixz=I[0, 2], iyz=I[1, 2],
             )  # fmt: skip

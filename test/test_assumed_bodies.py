@@ -178,7 +178,7 @@ def test_a_link_without_shape_is_a_rod_and_keeps_its_mass(tmp_path: Path) -> Non
 def test_an_arm_without_inertia_becomes_a_scene_that_names_assumed_bodies(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(new_scene, "tuned_servo", lambda _, servo: servo)
+    monkeypatch.setattr(new_scene, "tune_servo", lambda _, servo: servo)
     box = shape('<box size="0.3 0.1 0.1"/>', xyz="0.15 0 0", kind="visual")
     tensor = '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
     measured = f'<inertial><mass value="2"/>{tensor}</inertial>'

@@ -39,10 +39,10 @@ def test_every_bench_can_be_imported(name: str) -> None:
 def test_a_section_measures_reports_and_draws_its_figures(name: str) -> None:
     section = importlib.import_module(f"bench.{name}")
     assert isinstance(section.TITLE, str)
-    inspect.signature(section.run).bind(True)
-    inspect.signature(section.report).bind({})
-    if hasattr(section, "draw"):
-        inspect.signature(section.draw).bind({}, ROOT)
+    inspect.signature(section.run_bench).bind(True)
+    inspect.signature(section.write_report).bind({})
+    if hasattr(section, "draw_figures"):
+        inspect.signature(section.draw_figures).bind({}, ROOT)
 
 
 def test_the_published_report_follows_from_its_figures() -> None:
@@ -64,11 +64,11 @@ class Section:
     def __init__(self) -> None:
         self.runs = 0
 
-    def run(self, quick: bool) -> dict[str, Any]:
+    def run_bench(self, quick: bool) -> dict[str, Any]:
         self.runs += 1
         return {"runs": self.runs, "quick": quick}
 
-    def report(self, figures: dict[str, Any]) -> str:
+    def write_report(self, figures: dict[str, Any]) -> str:
         return f"run {figures['runs']}, quick: {figures['quick']}"
 
 

@@ -17,14 +17,14 @@ import hashlib, pathlib, sys, tempfile
 from portable_bits import drawings
 from arm_emulator import load_gains
 from arm_emulator.machine.plant.scene_unit import write_scene_unit
-from arm_emulator.servo.servo_numbers import servo_numbers
+from arm_emulator.servo.servo_numbers import make_servo_numbers
 
 with tempfile.TemporaryDirectory() as folder:
     for name, drawn in drawings(pathlib.Path(folder)).items():
         print(name, hashlib.sha256(write_scene_unit(drawn({})).encode()).hexdigest())
 for name in ("three_axis", "ur5", "panda"):
     servo = load_gains(name).servo
-    numbers = servo_numbers(servo.joints, servo.period, servo.supply_voltage)
+    numbers = make_servo_numbers(servo.joints, servo.period, servo.supply_voltage)
     print(name, hashlib.sha256(numbers.tobytes()).hexdigest())
 """
 BARE = """

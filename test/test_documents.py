@@ -284,7 +284,7 @@ def test_a_command_draws_every_picture_and_measured_table() -> None:
     assert {file.name for file in pages.PICTURES.iterdir()} == set(pages.PAINTERS)
     for name, page in pages.find_tables().items():
         bench = importlib.import_module(f"bench.{name}")
-        assert callable(bench.run) and callable(bench.report)
+        assert callable(bench.run_bench) and callable(bench.write_report)
         text = page.read_text()
         changed = pages.put_table(text, name, "| a table |")
         assert "| a table |\n<!-- end" in changed

@@ -28,7 +28,7 @@ def without_loops(monkeypatch: pytest.MonkeyPatch) -> None:
     """Loops are not analysed, for which the machine is compiled: the tests are of links."""
     place = "arm_emulator.cli.commands.check_scene."
     monkeypatch.setattr(place + "warn_of_loops", lambda *_: None)
-    monkeypatch.setattr(place + "withheld_modes", lambda *_: [])
+    monkeypatch.setattr(place + "list_withheld_modes", lambda *_: [])
 
 
 def moments(mass: float, size: np.ndarray = SIZE) -> np.ndarray:

@@ -39,7 +39,7 @@ def listed(tmp_path: Path, text: str, **more: str) -> dict[str, str]:
         capture_output=True, text=True, check=True,
         env={**own, "PIP_CONFIG_FILE": str(file), "HOME": str(tmp_path), **more},
     )  # fmt: skip
-    return dict(install.pip_options(done.stdout))
+    return dict(install.read_pip_options(done.stdout))
 
 
 def test_files_and_variables_of_pip_become_those_of_uv(tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ from oracles.own_robots import OWN, RobotPart, write_serial
 @pytest.fixture
 def untuned(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gains are not computed, for which the machine is compiled: the test is of other numbers."""
-    monkeypatch.setattr(new_scene, "tuned_servo", lambda _, servo: servo)
+    monkeypatch.setattr(new_scene, "tune_servo", lambda _, servo: servo)
 
 
 @pytest.mark.parametrize("seed", range(50))

@@ -19,7 +19,7 @@ from oracles.own_robots import RobotPart, write_serial
 @pytest.fixture(autouse=True)
 def untuned(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gains are not computed, for which the machine is compiled: the test is of the start."""
-    monkeypatch.setattr(new_scene, "tuned_servo", lambda _, servo: servo)
+    monkeypatch.setattr(new_scene, "tune_servo", lambda _, servo: servo)
 
 
 def with_balls(rng: np.random.Generator) -> str:

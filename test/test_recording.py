@@ -389,7 +389,7 @@ def test_a_slow_disk_makes_lockstep_wait_and_real_time_count(
     waits: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run_record, "CAPACITY", 50)
-    monkeypatch.setattr(BagWriter, "write", _slow_write(BagWriter.write_message))
+    monkeypatch.setattr(BagWriter, "write_message", _slow_write(BagWriter.write_message))
     record = RunRecord(tmp_path / "bag", [Topic("/talk", "std_msgs/msg/String")], waits)
     for k in range(1000):
         record.add_message("/talk", k.to_bytes(4, "little"))
@@ -426,7 +426,7 @@ def test_a_full_disk_stops_no_machine_and_is_reported(
             raise OSError(28, "No space left on device")
         write(self, *arguments)
 
-    monkeypatch.setattr(BagWriter, "write", full)
+    monkeypatch.setattr(BagWriter, "write_message", full)
     record = RunRecord(tmp_path / "bag", [Topic("/talk", "std_msgs/msg/String")], waits=True)
     for k in range(1000):
         record.add_message("/talk", k.to_bytes(4, "little"))

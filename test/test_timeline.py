@@ -212,7 +212,7 @@ def test_a_run_that_ctrl_c_broke_off_goes_on_as_the_straight_run(
                 raise KeyboardInterrupt
 
         with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
-            patched.setattr(line.run, "_instruct", interrupted)
+            patched.setattr(line.run, "_instruct_servo", interrupted)
             yield
 
     with break_off_at(250):

@@ -173,7 +173,8 @@ class BagRepetition:
         ):
             raise Difference(
                 f"run {self.tally.runs}, tick {session.tick}, change {number} by hand: "
-                f"recorded at tick {event.tick}, stamp {convert_to_nanoseconds(event.header.stamp)} ns"
+                f"recorded at tick {event.tick}, "
+                f"stamp {convert_to_nanoseconds(event.header.stamp)} ns"
             )
         self._repeat_change(event)
 

@@ -47,7 +47,7 @@ class SavedObjects:
             Refusal: something else; `where` names the caller.
         """
         if not isinstance(saved, Saved) or saved.owner is not self:
-            raise Refusal(where, "saved", "be what `copy_objects` of the same run returned", saved)
+            raise Refusal(where, "saved", "be what `save` of the same run returned", saved)
         return _Unpickler(io.BytesIO(saved.data), self._shared).load()
 
 

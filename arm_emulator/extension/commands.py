@@ -14,8 +14,7 @@ from arm_emulator.cli.options import (
     When,
 )
 from arm_emulator.cli.output import convert_to_plain, output
-from arm_emulator.cli.run_report import count_ticks, end_at_ctrl_c
-from arm_emulator.cli.run_report import report_run as report_run
+from arm_emulator.cli.run_report import count_ticks, end_at_ctrl_c, report_run
 from arm_emulator.cli.served import serve_session
 from arm_emulator.page.control_server import serve_controls
 from arm_emulator.page.page_process import PageProcess, wait_for_ctrl_c

@@ -6,8 +6,7 @@ from arm_emulator.analysis.mode_loops import describe_withheld_modes, list_withh
 from arm_emulator.analysis.residual_vibration import QUANTITIES as VIBRATION_QUANTITIES
 from arm_emulator.analysis.residual_vibration import find_reference_end, measure_vibration
 from arm_emulator.analysis.servo_loop import draw_poses
-from arm_emulator.analysis.stability import SmallMotions
-from arm_emulator.analysis.stability import explain_divergence as explain_divergence
+from arm_emulator.analysis.stability import SmallMotions, explain_divergence
 from arm_emulator.analysis.vibration_modes import find_vibration_modes
 from arm_emulator.base.calibration.deviation import Deviation
 from arm_emulator.base.calibration.joint_path import JointPath

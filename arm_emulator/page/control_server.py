@@ -117,7 +117,8 @@ def serve_controls(
 ) -> Iterator[ControlServer]:
     """Serve a page with a machine, and with actions on it, in this block.
 
-    The owner of a plant calls `poll` of the server between two ticks; that of a session need not.
+    The owner of a plant calls `poll_requests` of the server between two ticks; the owner of a
+    session need not.
 
     Args:
         machine: a plant, or a session.

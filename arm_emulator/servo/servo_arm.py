@@ -29,7 +29,8 @@ class Target:
 class ServoArm:
     """All drives of an arm: follow the newest target, hold without one, or command nothing.
 
-    Per servo period `take_measurement` once, `set_target` when a target comes, then `command`.
+    Per servo period `take_measurement` once, `set_target` when a target comes, then
+    `compute_commands`.
 
     A target that has a speed goes on with it until the next one comes, for one motion period at
     most: q + v (t - t_target). So the angles asked for are a line from target to target and no
@@ -136,7 +137,7 @@ class ServoArm:
 
     @property
     def state(self) -> WatchdogState:
-        """Action of the last `command`."""
+        """Action of the last `compute_commands`."""
         return DOES[self.servo.arm.does]
 
     @property

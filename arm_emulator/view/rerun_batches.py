@@ -356,8 +356,8 @@ Times = NDArray[np.int64]
 class SampleQueue:
     """Samples of `width` quantities for `joints` joints, from one writer to one reader.
 
-    `append_sample` never blocks and only copies the arrays. When the reader has fallen behind by `capacity`
-    samples, new ones are dropped.
+    `append_sample` never blocks and only copies the arrays. When the reader has fallen behind by
+    `capacity` samples, new ones are dropped.
 
     Attributes:
         dropped: samples that found no room.

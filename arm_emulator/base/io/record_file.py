@@ -41,7 +41,7 @@ class RecordFile(Protocol):
         """Complete the file.
 
         Raises:
-            OSError: see `write`.
+            OSError: see `write_rows`.
         """
 
     def give_up(self) -> None:
@@ -228,9 +228,8 @@ class NpzFile(_WrittenAtEnd):
         """Write all rows."""
         rows = np.concatenate(self._waiting)
         with self._part.open("wb") as stream:
-            np.savez(
-                stream, **{column.name: column.select_values(rows) for column in self._columns}
-            )  # type: ignore[arg-type]
+            values = {column.name: column.select_values(rows) for column in self._columns}
+            np.savez(stream, **values)  # type: ignore[arg-type]
         self._publish_file()
 
 

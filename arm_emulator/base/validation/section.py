@@ -11,7 +11,7 @@ LARGEST_COUNT = 1_000_000_000  # steps per servo period, counts per turn: larger
 
 
 class Section:
-    """One mapping of the file, read key by key; `refuse_unread_keys` refuses keys that were not read.
+    """One mapping of the file, read key by key; `refuse_unread_keys` refuses the others.
 
     A key that is present must have a value of the requested type; an absent one gives the
     default, if the reading method has one, or is refused.

@@ -306,7 +306,8 @@ def list_network_faults(node: Node) -> Iterator[NetworkFault]:
                 level, reason = qos_check_compatible(offer.qos_profile, request.qos_profile)
                 if level == QoSCompatibility.ERROR:
                     why = str(reason).removeprefix("ERROR: ").strip(" ;")
-                    text = f"{topic}: {_name_endpoint(request)} hears nothing of {_name_endpoint(offer)}: {why}"
+                    here, there = _name_endpoint(request), _name_endpoint(offer)
+                    text = f"{topic}: {here} hears nothing of {there}: {why}"
                     yield NetworkFault(False, text, "change the QoS of one of them")
 
 

@@ -146,7 +146,8 @@ def _print_gains(
         yield f"{pair[label].run.swing[j] / count:.2f}"
 
     for cells, title, *columns in (
-        (list_gains, "gains", "inertia, kg m2", "position, 1/s", "velocity, N m s/rad", "integral, s",
+        (list_gains, "gains",
+         "inertia, kg m2", "position, 1/s", "velocity, N m s/rad", "integral, s",
          "observer, rad/s"),
         (list_margins, "margins, worst pose", "gain", "phase, deg", "delay, periods", "sensitivity",
          "without payload: gain", "phase, deg"),

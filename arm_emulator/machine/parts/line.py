@@ -55,27 +55,60 @@ class Line(Part):
             fault
             for flow, receiver in (("command", "the drive"), ("measurement", "the controller"))
             for fault in (
-                make_kind(f"{flow}_late", f"{receiver} receives each {flow} whole periods late",
-                     f"{flow}_late", late, RISES),
-                make_kind(f"{flow}_lost", f"{flow}s are lost with a probability, and the one before "
-                     "stands", f"{flow}_lost", bound_share(0.3)),
-                make_kind(f"{flow}_repeated", f"the {flow} before comes once more, behind the newest",
-                     f"{flow}_repeated", bound_share(0.3)),
-                make_kind(f"{flow}_overtaken", f"{flow}s come a period later, behind the one that "
-                     "follows", f"{flow}_overtaken", bound_share(0.3)),
-                make_kind(f"{flow}_corrupted", f"a bit of a {flow} is received wrong",
-                     f"{flow}_corrupted", bound_share(0.1)),
+                make_kind(
+                    f"{flow}_late",
+                    f"{receiver} receives each {flow} whole periods late",
+                    f"{flow}_late",
+                    late,
+                    RISES,
+                ),
+                make_kind(
+                    f"{flow}_lost",
+                    f"{flow}s are lost with a probability, and the one before stands",
+                    f"{flow}_lost",
+                    bound_share(0.3),
+                ),
+                make_kind(
+                    f"{flow}_repeated",
+                    f"the {flow} before comes once more, behind the newest",
+                    f"{flow}_repeated",
+                    bound_share(0.3),
+                ),
+                make_kind(
+                    f"{flow}_overtaken",
+                    f"{flow}s come a period later, behind the one that follows",
+                    f"{flow}_overtaken",
+                    bound_share(0.3),
+                ),
+                make_kind(
+                    f"{flow}_corrupted",
+                    f"a bit of a {flow} is received wrong",
+                    f"{flow}_corrupted",
+                    bound_share(0.1),
+                ),
             )
-        )  # fmt: skip
+        )
         return (
             *faults,
-            make_kind("controller_frozen", "the controller stops, and its last command stands",
-                 "command_lost", bound_share()),
-            make_kind("controller_restarts", "no command comes, and the drive is disabled", "silent",
-                 bound_share()),
-            make_kind("encoders_swapped", "the plugs of its encoders and the next joint's are swapped",
-                 "swapped", bound_share()),
-        )  # fmt: skip
+            make_kind(
+                "controller_frozen",
+                "the controller stops, and its last command stands",
+                "command_lost",
+                bound_share(),
+            ),
+            make_kind(
+                "controller_restarts",
+                "no command comes, and the drive is disabled",
+                "silent",
+                bound_share(),
+            ),
+            make_kind(
+                "encoders_swapped",
+                "the plugs of its encoders and the next joint's are swapped",
+                "swapped",
+                bound_share(),
+            ),
+        )
 
 
 def list_line_numbers(joints: Mapping[str, bool]) -> dict[str, None]:

@@ -99,7 +99,7 @@ class Part(Declared):
 
     @classmethod
     def list_faults(cls) -> tuple[Fault, ...]:
-        """Return the kinds of faults of such a part, beside those of the package `list_faults`."""
+        """Return the kinds of faults of such a part, beside those of the package `faults`."""
         return ()
 
     @property

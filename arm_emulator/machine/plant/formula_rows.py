@@ -39,7 +39,7 @@ class FormulaRows:
     """Rows of values, each of which is computed once whatever formulas ask for it.
 
     Args:
-        row_of_signal: returns the row of a signal, by its name, from `add_input` or `of`.
+        row_of_signal: row of a signal, by its name, from `add_input` or `add_expression`.
     """
 
     def __init__(self, row_of_signal: Callable[[str], int]) -> None:

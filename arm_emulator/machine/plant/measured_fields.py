@@ -55,7 +55,7 @@ class MeasuredFields:
             message.readings[:] = self._join_readings(measured)
 
     def list_places(self, measured: Measured) -> list[tuple[str, NDArray[Any]]]:
-        """Return the views from which `fill_message` writes, with the fields of a message, in order."""
+        """Return the views from which `fill_message` writes, with the fields of a message."""
         into = [(name, name) for name in self._names] + [("readings", name) for name in self.listed]
         return [(field, measured.place(KNOWN[name])) for field, name in into]
 

@@ -11,7 +11,7 @@ class ReadCache:
 
     Args:
         plant: the machine.
-        is_self_clocked: whether a loop drives it; `clear_values` then reads it while it stands still.
+        is_self_clocked: whether a loop drives it; `clear_values` then reads it at rest.
     """
 
     def __init__(self, plant: Plant, *, is_self_clocked: bool) -> None:

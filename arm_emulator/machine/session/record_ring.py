@@ -69,7 +69,7 @@ class RingWriter:
 
     Attributes:
         take: writes a row of the machine: what is called at the end of each exchange.
-        struct: ``record_writer``, the first argument of `take`.
+        struct: ``record_writer``, the first argument of `take_rows`.
 
     Args:
         ring: the memory.

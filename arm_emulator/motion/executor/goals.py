@@ -92,7 +92,7 @@ class Goal:
         raise NotImplementedError
 
     def get_planned(self) -> Planned | None:
-        """Return its motion, after `compute_setpoint`, on which parts keep apart; None: not known."""
+        """Return its motion, after `compute_setpoint`, on which parts keep apart, if known."""
         return None
 
     def compute_progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:

@@ -227,7 +227,8 @@ class MotionExecutor:
         _Q.check_values("motion_controller", q.tolist())
         controllers = self._get_controllers(controller)
         if movable is not None and not movable.all():
-            controllers.feedforward.reset_estimate()  # the measured positions hold, whatever was commanded
+            # The measured positions hold, whatever was commanded.
+            controllers.feedforward.reset_estimate()
         controllers.feedforward.observe_torques(tau, movable)
         measured, links = q, controllers.feedforward.compute_link_angles(q)
         # The arm as if it had got the reference without the delay of its shaper.

@@ -184,7 +184,8 @@ def _plan_timed(
         j, share, s = beyond[:3]
         name = law.kinematics.joint_names[j]
         rule = f"keep the limits of {name}; with trajectory_limits: scale it takes longer"
-        value = f"{share:.3g} times its {beyond[3]} {path.describe_place(float(measure_distance(np.array([s]))[0]))}"
+        place = path.describe_place(float(measure_distance(np.array([s]))[0]))
+        value = f"{share:.3g} times its {beyond[3]} {place}"
         raise Refusal(WHERE, "the path", rule, value)
     return [TimedPath(joints, law.limits, law.arm, requested=duration, where=WHERE)]
 

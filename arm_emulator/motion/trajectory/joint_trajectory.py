@@ -254,7 +254,8 @@ class JointTrajectory:
         ):
             if wrong.any():
                 point, at = np.argwhere(wrong)[0]
-                rule = f"keep the limits of {self._name_point(at)}, {self._format_range(at, field)} {unit}"
+                bounds = f"{self._format_range(at, field)} {unit}"
+                rule = f"keep the limits of {self._name_point(at)}, {bounds}"
                 raise Refusal(WHERE, f"points[{point}].{field}", rule, f"{table[point, at]:.6g}")
 
     def _check_between(
@@ -278,7 +279,8 @@ class JointTrajectory:
             excess = find_excess(pieces, seconds, order, low, high)
             if excess is not None:
                 piece, at, value = excess
-                rule = f"keep the limits of {self._name_point(at)}, {self._format_range(at, field)} {unit}"
+                bounds = f"{self._format_range(at, field)} {unit}"
+                rule = f"keep the limits of {self._name_point(at)}, {bounds}"
                 where = f"{quantity}" if len(pieces) == 1 else f"{quantity} after points[{piece}]"
                 raise Refusal(WHERE, where, rule, f"{value:.6g} {unit}")
 

@@ -39,10 +39,11 @@ TRANSITIONS = range(Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIV
 class ManagedNode(LifecycleNode):
     """A node that is configured, activated, deactivated, cleaned up, and shut down.
 
-    A subclass declares its parameters in its constructor, and calls `start_lifecycle` at its end. Entities
-    that it creates in `create_entities` work while it is active: otherwise messages to them are dropped,
-    their timers stand, and their services refuse. Those of the constructor work in every state.
-    All callbacks of messages and services are behind the barrier, see `guard`.
+    A subclass declares its parameters in its constructor, and calls `start_lifecycle` at its end.
+    Entities that it creates in `create_entities` work while it is active: otherwise messages to
+    them are dropped, their timers stand, and their services refuse. Those of the constructor work
+    in every state. All callbacks of messages and services are behind the barrier, see
+    `guard_callback`.
 
     Attributes:
         refuse: gets a topic or a service, the reason for which an input of it is refused, and how
@@ -54,7 +55,7 @@ class ManagedNode(LifecycleNode):
         settable: names of the parameters that may be set in every state; the others while it is
             unconfigured.
         configured, active: its state.
-        starting: the newest one whose `start_lifecycle` has not succeeded, which no other code may have yet.
+        starting: the newest one whose `start_lifecycle` has not succeeded, which no other code has.
         generation: number of transitions so far.
         in_c_so_far, in_python_so_far: messages taken in C, and in Python, since its start.
         hot: its messages in C; None: nothing.

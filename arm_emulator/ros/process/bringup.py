@@ -126,7 +126,7 @@ class Bringup:
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=subprocess.STDOUT if log is not None else None,
-                    process_group=0,  # takes no signals from the terminal: `stop_nodes` passes them on
+                    process_group=0,  # no signals from the terminal: `stop_nodes` passes them on
                     preexec_fn=block_signals,  # noqa: PLW1509 - one system call, no lock
                     env={**os.environ, **get_parent_environment(), **get_python_path()},
                 )

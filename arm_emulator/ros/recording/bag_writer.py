@@ -102,7 +102,7 @@ class BagWriter:
         """Register a topic and return its number in this bag.
 
         Raises:
-            OSError: see `write`.
+            OSError: see `write_message`.
         """
         with self._record_failure():
             if topic.type not in self._schemas:
@@ -140,7 +140,7 @@ class BagWriter:
         """Hand all written data to the system: a crash of this process loses none of it.
 
         Raises:
-            OSError: see `write`.
+            OSError: see `write_message`.
         """
         with self._record_failure():
             self._mcap.flush()

@@ -22,7 +22,12 @@ from arm_emulator import (
 )
 from arm_emulator.analysis.servo_loop import ServoLoops
 from arm_emulator.base.io.config_files import find_beside, find_scene
-from arm_emulator.design.tuned import compute_servo, compute_link_inertias, make_data_sheet, run_move
+from arm_emulator.design.tuned import (
+    compute_link_inertias,
+    compute_servo,
+    make_data_sheet,
+    run_move,
+)
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.scene.known_parts import MOTORS, SIZED_MOTORS
 from arm_emulator.motion.model.config import load_motion_config

@@ -5,8 +5,8 @@ At the link, per joint, with motors that turn along with their links:
         tau / Ng = Y phi + sum of the torques of parts at the link + of those at the rotor / Ng + e
 
 phi follows from log-Cholesky parameters. Each part declares its torque as a function of its numbers
-(`Part.compute_effort`); trials show in which of them it is linear. e is the offset of the measured torque,
-and not a number of the machine.
+(`Part.compute_effort`); trials show in which of them it is linear. e is the offset of the measured
+torque, and not a number of the machine.
 """
 
 from __future__ import annotations
