@@ -181,7 +181,7 @@ def keys_of(part: type[Part]) -> dict[str, list[str]]:
     page = DOCS / "reference" / "parts" / f"{module}.md"
     line = f"<!-- generated: keys {module} -->\n"
     assert not page.exists() or line in page.read_text(), f"{page.name} has its table"
-    table = TABLES["keys"](module) if page.exists() else TABLES["joint_keys"]("parts")
+    table = TABLES["list_keys"](module) if page.exists() else TABLES["list_joint_keys"]("parts")
     of = f"{part.section}."
     return {key.removeprefix(of): row for key, row in rows_of(table).items() if key.startswith(of)}
 
@@ -239,7 +239,7 @@ def test_a_part_has_its_page_and_a_test_with_it(part: type[Part]) -> None:
 def test_rows_state_units_ranges_and_defaults() -> None:
     """As people write them, of numbers of each kind."""
     pages = ("end_stops", "pmsm", "friction", "winding", "tachometer")
-    tables = [TABLES["joint_keys"]("parts"), *(TABLES["keys"](page) for page in pages)]
+    tables = [TABLES["list_joint_keys"]("parts"), *(TABLES["list_keys"](page) for page in pages)]
     rows = {key: row for table in tables for key, row in rows_of(table).items()}
     expected = {
         "end_stops.stiffness": ["N m/rad (N/m)", "> 0", "refused"],
