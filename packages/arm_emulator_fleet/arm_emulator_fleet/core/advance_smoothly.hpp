@@ -7,8 +7,8 @@
 namespace {
 
 // A period of a group up to its first event. Whether nothing is left of it.
-bool advance_smoothly(const fleet_advance_call& call, std::int64_t thread) {
-  const Advance of(call, thread, call.period);
+bool advance_smoothly(const Advance& of) {
+  const fleet_advance_call& call = of.call;
   arm_fleet& fleet = of.fleet;
   if (call.motion == FLEET_UNDER_ROWS)
     return fleet.follow_smoothly(of.g, of.row(call.command), call.steps, of.row(call.q));
@@ -30,8 +30,13 @@ bool advance_smoothly(const fleet_advance_call& call, std::int64_t thread) {
 ARM_KERNEL(fleet_advance_smoothly) {
   if (*call.refused != FLEET_NONE_REFUSED) return;
   if (thread == 0) call.queue[1 - (call.period & 1)] = 0;  // of the next period
-  if constexpr (arm_fleet::has_events_in_lanes)
-    if (advance_smoothly(call, thread)) return;
+  if constexpr (arm_fleet::has_events_in_lanes) {
+    const Advance of(call, thread, call.period);
+    arm_fleet::State state(of.fleet, of.g);
+    const bool is_done = advance_smoothly(of);
+    state.store();
+    if (is_done) return;
+  }
   std::int32_t* const count = call.queue + (call.period & 1);
   const std::int32_t place = __atomic_fetch_add(count, 1, __ATOMIC_RELAXED);
   call.queue[FLEET_QUEUE_BEGINS + place] = static_cast<std::int32_t>(thread);

@@ -2,6 +2,9 @@
 // those of the core, and of the standard library those that are templates.
 #pragma once
 
+// See state_rows.hpp.
+#define ARM_STATES_IN_ROWS
+
 #ifdef __CUDA__
 #include <time.h>
 

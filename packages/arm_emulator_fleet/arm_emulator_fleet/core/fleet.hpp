@@ -4,6 +4,7 @@
 #include "arm_fleet.h"
 #include "boundary/boundary.hpp"
 #include "lanes.hpp"
+#include "state_rows.hpp"
 
 struct arm_fleet {
   using Machine = arm_machine::Machine;
@@ -14,7 +15,14 @@ struct arm_fleet {
       std::is_same_v<Machine::Threads, arm::OneThread<Scene, Machine::Stepper>> &&
       arm::is_ever_regular<Scene>();
   static constexpr int lanes = together ? arm::kNativeLanes : 1;
-  using Group = arm::SideBySide<Scene, lanes>;
+  // Whether states of lanes are in rows (state_rows.hpp), where all groups have the same tables.
+#ifdef ARM_STATES_IN_ROWS
+  static constexpr bool has_rows = lanes > 1 && !arm::drives_vary<Scene>();
+#else
+  static constexpr bool has_rows = false;
+#endif
+  using Group = arm::SideBySide<Scene, lanes, has_rows>;
+  using Rows = arm::StateRows<Group, has_rows>;
 
   // Whether lanes have all data of measurements and commands; other data is read from the machine.
   static constexpr bool in_lanes =
@@ -34,7 +42,8 @@ struct arm_fleet {
         lent(new std::int32_t[count]()),
         group(new Group*[groups()]()),
         known(new Known[groups()]),
-        common(options.step, arm::Numbers<Scene>(options.parameters)) {}
+        common(options.step, arm::Numbers<Scene>(options.parameters)),
+        rows(groups()) {}
   // Make the arms of a group; false if the options make no sense.
   bool build(int g, const arm_options& options) {
     Machine* members[lanes];
@@ -46,6 +55,7 @@ struct arm_fleet {
       members[k % lanes] = &machine[k]->machine;
     }
     group[g] = new Group(options.step, members, end_of(g) - g * lanes, common);
+    rows.clear(g);
     return true;
   }
   ~arm_fleet() {
@@ -500,6 +510,11 @@ struct arm_fleet {
     return first >= 0 && first % lanes == 0 && count >= 0 && first <= arms && count <= arms - first;
   }
   int groups() const { return (arms + lanes - 1) / lanes; }
+  // The state of a group, for as long as this lives; kernels read and change arms in its presence.
+  struct State : Rows::State {
+    State(const arm_fleet& fleet, int g)
+        : Rows::State(fleet.rows, *fleet.group[g], g, fleet.common) {}
+  };
 
   // Of a group while all of its arms are in their lanes, where its machines are not read.
   struct Known {
@@ -521,6 +536,7 @@ struct arm_fleet {
   Group** group;
   Known* known;
   typename Group::Common common;
+  Rows rows;
 
  private:
   mutable std::int32_t refused_ = -1;

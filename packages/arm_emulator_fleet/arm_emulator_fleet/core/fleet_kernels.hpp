@@ -10,6 +10,7 @@ namespace {
 template <class Act>
 void for_arms_of(arm_fleet* fleet, std::int64_t group, const std::uint8_t* mask, Act&& act) {
   const int g = static_cast<int>(group);
+  const arm_fleet::State state(*fleet, g);
   for (int k = g * arm_fleet::lanes; k < fleet->end_of(g); ++k)
     if (!mask || mask[k]) fleet->settle(k), act(fleet->machine[k], k);
 }
@@ -30,7 +31,8 @@ ARM_KERNEL(fleet_measure_room) {
   const std::int64_t groups = (call.count + arm_fleet::lanes - 1) / arm_fleet::lanes;
   call.bytes[0] = sizeof(arm_fleet);
   call.bytes[1] = call.count * (sizeof(arm_machine*) + sizeof(std::int32_t)) +
-                  groups * (sizeof(arm_fleet::Group*) + sizeof(arm_fleet::Known));
+                  groups * (sizeof(arm_fleet::Group*) + sizeof(arm_fleet::Known)) +
+                  arm_fleet::Rows::count_bytes(static_cast<int>(groups));
   call.bytes[2] = sizeof(arm_fleet::Group) + arm_fleet::lanes * sizeof(arm_machine);
   call.bytes[3] = sizeof(arm_fleet::Machine::Method);
   call.bytes[4] = arm_fleet::lanes;
@@ -109,7 +111,9 @@ ARM_KERNEL(fleet_save) {
               [&](arm_machine* arm, int k) { write_saved(arm, call.saved + k * call.size); });
 }
 ARM_KERNEL(fleet_save_arm) {
-  call.fleet->settle(static_cast<int>(call.arm));
+  const int k = static_cast<int>(call.arm);
+  const arm_fleet::State state(*call.fleet, k / arm_fleet::lanes);
+  call.fleet->settle(k);
   write_saved(call.fleet->machine[call.arm], call.saved);
 }
 ARM_KERNEL(fleet_check_saved) {
@@ -139,7 +143,9 @@ static void show(const arm_fleet& fleet, int g, const arm_fleet_measurement& mea
 }
 ARM_KERNEL(fleet_show) {
   if (call.refused && *call.refused != FLEET_NONE_REFUSED) return;
-  show(*call.fleet, static_cast<int>(thread), call.measurement, call.truth);
+  const int g = static_cast<int>(thread);
+  const arm_fleet::State state(*call.fleet, g);
+  show(*call.fleet, g, call.measurement, call.truth);
 }
 
 ARM_KERNEL(fleet_gather) {
@@ -178,6 +184,7 @@ ARM_KERNEL(fleet_advance) {
   const std::int64_t periods = queues ? 1 : call.periods;
   arm_fleet& fleet = of.fleet;
   const std::int64_t taken = queues ? fleet.known[of.g].taken : -1;
+  arm_fleet::State state(fleet, of.g);
   if (call.motion == FLEET_UNDER_ROWS) {
     const std::int64_t stride = std::int64_t{fleet.arms} * arm_fleet::J;
     fleet.follow(of.g, of.row(call.command), stride, periods, call.steps, of.row(call.q),
@@ -191,10 +198,12 @@ ARM_KERNEL(fleet_advance) {
   } else if (periods > 0) {
     fleet.hold(of.g, call.joint, call.further, call.tick, periods, taken);
   }
+  state.store();
 }
 
 ARM_KERNEL(fleet_look) {
   const int g = static_cast<int>(thread), first = g * arm_fleet::lanes;
+  const arm_fleet::State state(*call.fleet, g);
   call.way.look(call.way.with, first, call.fleet->end_of(g) - first);
 }
 

@@ -10,7 +10,8 @@
 
 namespace arm {
 
-template <class S, int width>
+// `elsewhere`: their state is not here, but where `use` says.
+template <class S, int width, bool elsewhere = false>
 class SideBySide {
  public:
   using Machine = arm::Machine<S>;
@@ -28,10 +29,7 @@ class SideBySide {
 
   // At least one machine and at most `width`; they stay where they are, as do the tables.
   SideBySide(double step, Machine* const* machines, int count, const Common& common)
-      : h_(step),
-        used_(count),
-        numbers_(machines[0]->numbers_now()),
-        threads_(step, -1, numbers_, common.tables) {
+      : h_(step), used_(count), numbers_(machines[0]->numbers_now()), state_(begin_state(common)) {
     for (int lane = 0; lane < used_; ++lane) machine_[lane] = machines[lane];
     for (std::int64_t& edition : editions_) edition = -1;
   }
@@ -96,10 +94,23 @@ class SideBySide {
   // period.
   void settle(int lane) {
     if (!abreast_[lane]) return;
-    take(lane, at_, threads_.memory(), full_[lane].now);
+    take(lane, state().at, state().threads.memory(), full_[lane].now);
     leave(lane);
   }
   bool is_abreast(int lane) const { return abreast_[lane]; }
+
+  // State of all lanes, and what takes their steps.
+  struct LaneState;
+  // A state at rest in the place of the caller; `use` it before any other call, if the state is
+  // elsewhere.
+  LaneState make_state(const Common& common) const { return {h_, numbers_, common}; }
+  void use(LaneState* state) { state_ = state; }
+  // The lane of a machine is there again.
+  void put_machines() {
+    if constexpr (kStepsApart<S>)
+      for (int lane = 0; lane < used_; ++lane)
+        state().threads.stepper().put(lane, abreast_[lane] ? machine_[lane] : nullptr);
+  }
 
   // Times that machines have left their lanes. Between two of these, no number and no brake of a
   // machine in its lane changes.
@@ -108,12 +119,12 @@ class SideBySide {
   // Of a machine that is in its lane: steps since the reset, commands of the newest step, what
   // Machine::report reports, and the links.
   std::int64_t steps_taken(int lane) const {
-    return abreast_[lane] ? at_.steps_taken[lane] : machine_[lane]->steps();
+    return abreast_[lane] ? state().at.steps_taken[lane] : machine_[lane]->steps();
   }
-  double applied(int lane, int j) const { return at_.u[j][lane]; }
+  double applied(int lane, int j) const { return state().at.u[j][lane]; }
   void report(int lane, double* current, double* angle, double* speed) const {
     machine_[lane]->numbers_now().for_each_drive([&](const auto& drive, int j) {
-      const auto here = input_in_lane(drive, j, at_.x, X{}, lane);
+      const auto here = input_in_lane(drive, j, state().at.x, X{}, lane);
       current[j] = drive.current(here);
       angle[j] = drive.motor_angle(here);
       speed[j] = drive.motor_speed(here);
@@ -133,11 +144,11 @@ class SideBySide {
     if constexpr (Numbers<S, X>::drives_vary)
       for (int lane = 0; lane < width; ++lane)
         numbers_.for_each_drive_of(lane, [&](const auto& drive, int j) {
-          put_from(j * width + lane, drive, input_in_lane(drive, j, at_.x, X{}, lane));
+          put_from(j * width + lane, drive, input_in_lane(drive, j, state().at.x, X{}, lane));
         });
     else
       numbers_.for_each_drive([&](const auto& drive, int j) {
-        put_from(j * width, drive, input_of(drive, j, at_.x, X{}));
+        put_from(j * width, drive, input_of(drive, j, state().at.x, X{}));
       });
   }
   // The gears' torques on their links, of all lanes, in rows of lanes. Not of rotors that turn with
@@ -148,13 +159,15 @@ class SideBySide {
     for (int lane = 0; lane < width; ++lane)
       numbers_.for_each_drive_of(lane, [&](const auto& drive, int j) {
         torque[j * width + lane] =
-            drive.gear_torque(input_in_lane(drive, j, at_.x, X{}, lane), 0.0);
+            drive.gear_torque(input_in_lane(drive, j, state().at.x, X{}, lane), 0.0);
       });
   }
-  void applied(double* rows) const { put_rows(at_.u, rows); }
-  void links(double* q, double* v) const { put_rows(at_.x.q, q), put_rows(at_.x.v, v); }
+  void applied(double* rows) const { put_rows(state().at.u, rows); }
+  void links(double* q, double* v) const {
+    put_rows(state().at.x.q, q), put_rows(state().at.x.v, v);
+  }
   void links(int lane, double* q, double* v) const {
-    for (int j = 0; j < N; ++j) q[j] = at_.x.q[j][lane], v[j] = at_.x.v[j][lane];
+    for (int j = 0; j < N; ++j) q[j] = state().at.x.q[j][lane], v[j] = state().at.x.v[j][lane];
   }
 
  private:
@@ -183,19 +196,67 @@ class SideBySide {
 
   static constexpr int kSection = 256;  // steps after which machines that diverged stand still
 
-  // State of all lanes.
+ public:
   struct Abreast {
     State<S, X> x;
     alignas(64) X u[Method::row] = {};
     X power = {}, most = {};
     Balance balance[width];
     ExternalWork<S> work[width];
-    std::int64_t steps_taken[width];
+    std::int64_t steps_taken[width] = {};
   };
   struct Moment {
     Abreast at;
     typename Threads::Memory past;
+
+    // number(x) for everything that it is, in a fixed order; x: of all lanes, or of one of them.
+    template <class Number>
+    void for_each_number(Number&& number) {
+      SideBySide::for_each_number(at.x, past, number);
+      for (int j = 0; j < N; ++j) number(at.u[j]);
+      number(at.power), number(at.most);
+      for (int lane = 0; lane < width; ++lane) {
+        at.balance[lane].for_each_number(number);
+        at.work[lane].for_each_number(number);
+        number(at.steps_taken[lane]);
+      }
+    }
   };
+
+  struct LaneState {
+    LaneState(double step, const Numbers<S, X>& numbers, const Common& common)
+        : threads(step, -1, numbers, common.tables) {}
+    LaneState(const LaneState&) = delete;
+
+    Moment moment() const { return {at, threads.memory()}; }
+    void put(const Moment& moment) {
+      at = moment.at;
+      threads.restore(moment.past);
+    }
+
+    Threads threads;
+    Abreast at;
+  };
+
+ private:
+  auto begin_state([[maybe_unused]] const Common& common) const {
+    if constexpr (elsewhere)
+      return static_cast<LaneState*>(nullptr);
+    else
+      return make_state(common);
+  }
+  LaneState& state() {
+    if constexpr (elsewhere)
+      return *state_;
+    else
+      return state_;
+  }
+  const LaneState& state() const {
+    if constexpr (elsewhere)
+      return *state_;
+    else
+      return state_;
+  }
   // Lanes that a check has found sound: all of them, or some.
   struct Found {
     bool all, alone[width];
@@ -203,7 +264,7 @@ class SideBySide {
 
   std::int64_t steps_to_brakes(int lane) const {
     if (S::brakes == 0) return Brakes<S>::never;
-    return abreast_[lane] ? full_[lane].brakes.next() - at_.steps_taken[lane]
+    return abreast_[lane] ? full_[lane].brakes.next() - state().at.steps_taken[lane]
                           : machine_[lane]->steps_to_brakes();
   }
 
@@ -213,12 +274,12 @@ class SideBySide {
       if (edition == editions_[lane]) continue;
       editions_[lane] = edition;
       numbers_.set(lane, machine_[lane]->numbers_now());
-      threads_.renew(lane);
+      state().threads.renew(lane);
     }
     if constexpr (S::external_wrench) {
       for (int lane = 0; lane < width; ++lane)
         numbers_.set_external_wrenches(lane, numbers_of(lane));
-      if constexpr (kStepsApart<S>) threads_.stepper().forget_links();
+      if constexpr (kStepsApart<S>) state().threads.stepper().forget_links();
     }
   }
 
@@ -226,30 +287,28 @@ class SideBySide {
   // sound machine.
   bool line_up() {
     if (together_) return true;
-    typename Threads::Memory past = threads_.memory();
+    typename Threads::Memory past = state().threads.memory();
     int sound = -1;
     bool all = true;
     for (int lane = 0; lane < used_; ++lane) {
       if (!abreast_[lane]) {
         full_[lane] = machine_[lane]->full_state();
         abreast_[lane] = full_[lane].fault < 0;
-        if (abreast_[lane]) put(lane, full_[lane].now, at_, past);
+        if (abreast_[lane]) put(lane, full_[lane].now, state().at, past);
       }
       all = all && abreast_[lane];
       if (abreast_[lane]) sound = lane;
     }
-    if constexpr (kStepsApart<S>)
-      for (int lane = 0; lane < used_; ++lane)
-        threads_.stepper().put(lane, abreast_[lane] ? machine_[lane] : nullptr);
+    put_machines();
     if (sound < 0) return false;
     if (!all || used_ < width) {
       Checkpoint one = {};
-      threads_.restore(past);
-      take(sound, at_, one);
+      state().threads.restore(past);
+      take(sound, state().at, one);
       for (int lane = 0; lane < width; ++lane)
-        if (lane >= used_ || !abreast_[lane]) put(lane, one, at_, past);
+        if (lane >= used_ || !abreast_[lane]) put(lane, one, state().at, past);
     }
-    threads_.restore(past);
+    state().threads.restore(past);
     together_ = all && used_ == width;
     brakes_rest_ = true;
     for (int lane = 0; lane < used_; ++lane)
@@ -272,32 +331,32 @@ class SideBySide {
     if constexpr (!smoothly)
       if (!line_up()) return count;
     const CommandSchedule start = schedule;
-    const Moment began = {at_, threads_.memory()};
+    const Moment began = state().moment();
     Mask<X> lost = {};  // in what follows
     Found found = {};   // at the newest check
     int left = count;
     for (bool goes_on = true; goes_on && left > 0;) {
       int steps = left;
-      for (const std::int64_t taken : at_.steps_taken) {
+      for (const std::int64_t taken : state().at.steps_taken) {
         const int due = Machine::steps_to_check(taken);
         if (due < steps) steps = due;
       }
       const int taken = march<smoothly>(schedule, steps);
       goes_on = taken == steps;
       left -= taken;
-      for_each_drive<S>(
-          [&](const auto& drive, int j) { lost |= ~Machine::within_bounds(drive, j, at_.x, h_); });
+      for_each_drive<S>([&](const auto& drive, int j) {
+        lost |= ~Machine::within_bounds(drive, j, state().at.x, h_);
+      });
       bool checks = false;
       for (int lane = 0; lane < width; ++lane) {
-        at_.steps_taken[lane] += taken;
-        checks = checks || Machine::is_check(at_.steps_taken[lane]);
+        state().at.steps_taken[lane] += taken;
+        checks = checks || Machine::is_check(state().at.steps_taken[lane]);
       }
       if (checks && taken > 0) check(smoothly ? 0 : left, lost, found);
     }
     if constexpr (smoothly)
       if (any(lost)) {
-        at_ = began.at;
-        threads_.restore(began.past);
+        state().put(began);
         return 0;
       }
     for (int lane = 0; lane < used_; ++lane) {
@@ -323,9 +382,9 @@ class SideBySide {
   ARM_APART void check(int left, Mask<X>& lost, Found& found) {
     Mask<X> sound = {};
     for (int lane = 0; lane < width; ++lane) {
-      if (lost[lane] || !Machine::is_check(at_.steps_taken[lane])) continue;
+      if (lost[lane] || !Machine::is_check(state().at.steps_taken[lane])) continue;
       if constexpr (S::external_wrench) account_for_work(lane);
-      if (at_.balance[lane].due_after(Machine::kCheckEvery) && !balanced(lane))
+      if (state().at.balance[lane].due_after(Machine::kCheckEvery) && !balanced(lane))
         lost[lane] = -1;
       else
         sound[lane] = -1;
@@ -333,10 +392,11 @@ class SideBySide {
     if (left >= Machine::kCheckEvery) return;
     found.all = all(sound);
     if (found.all) {
-      checked_[1 - newest_] = {at_, threads_.memory()};
+      checked_[1 - newest_] = state().moment();
     } else {
       for (int lane = 0; lane < used_; ++lane)
-        if (sound[lane]) take(lane, at_, threads_.memory(), alone_[lane]), found.alone[lane] = true;
+        if (sound[lane])
+          take(lane, state().at, state().threads.memory(), alone_[lane]), found.alone[lane] = true;
     }
   }
 
@@ -345,17 +405,19 @@ class SideBySide {
   ARM_APART int march(CommandSchedule& schedule, int steps) {
     Mask<X> checked = {};
     for (int lane = 0; lane < width; ++lane)
-      if (Machine::is_check(at_.steps_taken[lane])) checked[lane] = -1;
+      if (Machine::is_check(state().at.steps_taken[lane])) checked[lane] = -1;
     if (any(checked))
-      at_.power = select(checked, Balance::largest_power(numbers_, at_.x, at_.u), at_.power);
+      state().at.power = select(
+          checked, Balance::largest_power(numbers_, state().at.x, state().at.u), state().at.power);
     const auto go = [&](auto& threads) __attribute__((always_inline)) {
-      return schedule.march(numbers_, threads, h_, steps, at_.x, at_.u, at_.power, at_.most);
+      return schedule.march(numbers_, threads, h_, steps, state().at.x, state().at.u,
+                            state().at.power, state().at.most);
     };
     if constexpr (smoothly && kStepsApart<S>) {
-      SmoothSteps threads = {threads_};
+      SmoothSteps threads = {state().threads};
       return go(threads);
     } else {
-      return go(threads_);
+      return go(state().threads);
     }
   }
   struct SmoothSteps {
@@ -367,8 +429,8 @@ class SideBySide {
 
   void account_for_work(int lane) {
     Checkpoint now = {};
-    take(lane, at_, now);
-    at_.most[lane] += at_.work[lane].since(numbers_of(lane), now.x);
+    take(lane, state().at, now);
+    state().at.most[lane] += state().at.work[lane].since(numbers_of(lane), now.x);
   }
 
   const Numbers<S>& numbers_of(int lane) const {
@@ -378,10 +440,10 @@ class SideBySide {
   // Whether the energy of a lane is one that a machine can have.
   bool balanced(int lane) {
     Checkpoint now = {};
-    take(lane, at_, now);
+    take(lane, state().at, now);
     const int joint = now.balance.broken_by(numbers_of(lane), now.x, h_);
-    at_.balance[lane] = now.balance;
-    at_.most[lane] = now.balance.most();
+    state().at.balance[lane] = now.balance;
+    state().at.most[lane] = now.balance.most();
     return joint < 0;
   }
 
@@ -405,7 +467,7 @@ class SideBySide {
   }
 
   void take(int lane, const Abreast& at, Checkpoint& now) const {
-    take(lane, at, threads_.memory(), now);
+    take(lane, at, state().threads.memory(), now);
   }
   static void take(int lane, const Abreast& at, const typename Threads::Memory& past,
                    Checkpoint& now) {
@@ -428,8 +490,7 @@ class SideBySide {
   Machine* machine_[width];
   std::int64_t editions_[width];  // of the numbers that are in use; none are at first
   Numbers<S, X> numbers_;
-  Threads threads_;
-  Abreast at_;
+  std::conditional_t<elsewhere, LaneState*, LaneState> state_;
   bool abreast_[width] = {};  // whether the state is in the lane; else in the machine
   bool together_ = false;     // all lanes are in use, and as `line_up` left them
   bool brakes_rest_ = false;  // none of their brakes is about to change
@@ -443,8 +504,8 @@ class SideBySide {
 };
 
 // A single machine.
-template <class S>
-class SideBySide<S, 1> {
+template <class S, bool elsewhere>
+class SideBySide<S, 1, elsewhere> {
  public:
   using Machine = arm::Machine<S>;
   static constexpr int N = S::N;
