@@ -196,7 +196,6 @@ class SideBySide {
 
   static constexpr int kSection = 256;  // steps after which machines that diverged stand still
 
- public:
   struct Abreast {
     State<S, X> x;
     alignas(64) X u[Method::row] = {};
@@ -205,13 +204,33 @@ class SideBySide {
     ExternalWork<S> work[width];
     std::int64_t steps_taken[width] = {};
   };
-  struct Moment {
-    Abreast at;
-    typename Threads::Memory past;
 
-    // number(x) for everything that it is, in a fixed order; x: of all lanes, or of one of them.
+ public:
+  struct LaneState {
+    LaneState(double step, const Numbers<S, X>& numbers, const Common& common)
+        : threads(step, -1, numbers, common.tables) {}
+    LaneState(const LaneState&) = delete;
+
+    // number(x) for everything that steps change, in a fixed order; x: of all lanes, or of one.
     template <class Number>
     void for_each_number(Number&& number) {
+      typename Threads::Memory past = threads.memory();
+      for_each_number_of(at, past, number);
+      threads.restore(past);
+    }
+    static int count_words() {
+      Abreast at;
+      typename Threads::Memory past = {};
+      int words = 0;
+      for_each_number_of(at, past, [&](const auto& x) { words += sizeof x / sizeof(double); });
+      return words;
+    }
+
+    Threads threads;
+    Abreast at;
+
+   private:
+    static void for_each_number_of(Abreast& at, typename Threads::Memory& past, auto&& number) {
       SideBySide::for_each_number(at.x, past, number);
       for (int j = 0; j < N; ++j) number(at.u[j]);
       number(at.power), number(at.most);
@@ -223,22 +242,11 @@ class SideBySide {
     }
   };
 
-  struct LaneState {
-    LaneState(double step, const Numbers<S, X>& numbers, const Common& common)
-        : threads(step, -1, numbers, common.tables) {}
-    LaneState(const LaneState&) = delete;
-
-    Moment moment() const { return {at, threads.memory()}; }
-    void put(const Moment& moment) {
-      at = moment.at;
-      threads.restore(moment.past);
-    }
-
-    Threads threads;
-    Abreast at;
-  };
-
  private:
+  struct Moment {
+    Abreast at;
+    typename Threads::Memory past;
+  };
   auto begin_state([[maybe_unused]] const Common& common) const {
     if constexpr (elsewhere)
       return static_cast<LaneState*>(nullptr);
@@ -331,7 +339,7 @@ class SideBySide {
     if constexpr (!smoothly)
       if (!line_up()) return count;
     const CommandSchedule start = schedule;
-    const Moment began = state().moment();
+    const Moment began = {state().at, state().threads.memory()};
     Mask<X> lost = {};  // in what follows
     Found found = {};   // at the newest check
     int left = count;
@@ -356,7 +364,8 @@ class SideBySide {
     }
     if constexpr (smoothly)
       if (any(lost)) {
-        state().put(began);
+        state().at = began.at;
+        state().threads.restore(began.past);
         return 0;
       }
     for (int lane = 0; lane < used_; ++lane) {
@@ -392,7 +401,7 @@ class SideBySide {
     if (left >= Machine::kCheckEvery) return;
     found.all = all(sound);
     if (found.all) {
-      checked_[1 - newest_] = state().moment();
+      checked_[1 - newest_] = {state().at, state().threads.memory()};
     } else {
       for (int lane = 0; lane < used_; ++lane)
         if (sound[lane])

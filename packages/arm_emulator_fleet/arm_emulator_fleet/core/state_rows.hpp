@@ -25,7 +25,6 @@ template <class Group>
 class StateRows<Group, true> {
  public:
   using Word = std::uint64_t;
-  using Moment = typename Group::Moment;
 
   explicit StateRows(int groups)
       : stride_(stride_of(groups)), words_(new Word[count_words() * stride_]) {}
@@ -47,9 +46,7 @@ class StateRows<Group, true> {
           words_(rows.words_ + g),
           stride_(rows.stride_),
           state_(group.make_state(common)) {
-      Moment moment = state_.moment();
-      for_each_word(moment, [](Word& here, Word& there) { here = there; });
-      state_.put(moment);
+      for_each_word([](Word& here, const Word& there) { here = there; });
       group_.use(&state_);
       group_.put_machines();
     }
@@ -58,14 +55,13 @@ class StateRows<Group, true> {
 
     // Copy it to the rows: time has gone on.
     void store() {
-      Moment moment = state_.moment();
-      for_each_word(moment, [](Word& here, Word& there) { there = here; });
+      for_each_word([](const Word& here, Word& there) { there = here; });
     }
 
    private:
-    void for_each_word(Moment& moment, auto&& act) {
+    void for_each_word(auto&& act) {
       Word* there = words_;
-      moment.for_each_number([&](auto& number) {
+      state_.for_each_number([&](auto& number) {
         Word here[sizeof number / sizeof(Word)];
         __builtin_memcpy(here, &number, sizeof number);
         for (Word& word : here) act(word, *there), there += stride_;
@@ -85,12 +81,7 @@ class StateRows<Group, true> {
   static std::int64_t stride_of(int groups) {
     return (groups + kTogether - 1) / kTogether * kTogether;
   }
-  static std::int64_t count_words() {
-    Moment moment;
-    std::int64_t words = 0;
-    moment.for_each_number([&](const auto& number) { words += sizeof number / sizeof(Word); });
-    return words;
-  }
+  static std::int64_t count_words() { return Group::LaneState::count_words(); }
 
   std::int64_t stride_;
   Word* words_;
