@@ -10,7 +10,7 @@
 
 namespace arm {
 
-// `elsewhere`: their state is not here, but where `use` says.
+// `elsewhere`: their state is not here, but where `use` has set it.
 template <class S, int width, bool elsewhere = false>
 class SideBySide {
  public:
