@@ -20,7 +20,7 @@ from arm_emulator.ros.messages.message_types import get_message_class
 from arm_emulator.ros.recording.bag_metadata import Topic
 from arm_emulator.ros.recording.bag_writer import BagWriter
 from arm_emulator.ros.recording.recorder import choose_qos
-from arm_emulator_analysis.commands.explain import explain
+from arm_emulator_analysis.commands.explain import explain_run
 
 
 def damaged(folder: Path) -> Path:
@@ -119,7 +119,7 @@ def test_a_bag_of_a_missing_scene_is_refused_by_its_name(
     bag = synthetic(tmp_path / "bag", [True] * 2)
     monkeypatch.setattr(recorded_topics, "find_config_folder", lambda: tmp_path)
     rule = f"{bag}: --scene must name the scene with the joints waist, shoulder, elbow, got none"
-    for command in (check_bag, partial(explain, at=0.0)):
+    for command in (check_bag, partial(explain_run, at=0.0)):
         with pytest.raises(Refusal, match=re.escape(rule)):
             command(bag)
 

@@ -99,7 +99,7 @@ class Judge:
             for events in kinds:
                 for scheme in SCHEMES:
                     method = IntegrationMethod(scheme, events, threads)
-                    if format_mismatch(method.integrator(self.scene, 1), threads) is None:
+                    if format_mismatch(method.make_integrator(self.scene, 1), threads) is None:
                         methods.append(method)
         return methods
 
@@ -113,10 +113,15 @@ class Judge:
     @cached_property
     def _has_events(self) -> bool:
         rows = [motion.commands for motion in self.motions]
-        pairs = ((self.runs.q(method, LOOK, row) for method in (FINEST, OTHERWISE)) for row in rows)
+        pairs = (
+            (self.runs.simulate_q(method, LOOK, row) for method in (FINEST, OTHERWISE))
+            for row in rows
+        )
         return not all(np.array_equal(positions, second) for positions, second in pairs)  # type: ignore[arg-type]
 
-    def error(self, method: IntegrationMethod, steps: int, limit: float = math.inf) -> float:
+    def compute_max_error(
+        self, method: IntegrationMethod, steps: int, limit: float = math.inf
+    ) -> float:
         """Return the largest error on the motions, inf where one diverges.
 
         Beyond `limit` the error of the first motion beyond it is enough.
@@ -135,18 +140,21 @@ class Judge:
     def _compute_error_on(self, method: IntegrationMethod, steps: int, m: int) -> float:
         key = method, steps, m
         if key not in self._errors:
-            q, truth = self.runs.q(method, steps, self.motions[m].commands), self._truths[m]
+            q, truth = (
+                self.runs.simulate_q(method, steps, self.motions[m].commands),
+                self._truths[m],
+            )
             off = math.inf if q is None else float(np.abs(q - truth.q).max())
             self._errors[key] = off + truth.error
         return self._errors[key]
 
-    def errors(self, method: IntegrationMethod, steps: int) -> Array:
+    def compute_errors(self, method: IntegrationMethod, steps: int) -> Array:
         """Return the error on each motion (M,)."""
         return np.array(
             [self._compute_error_on(method, steps, m) for m in range(len(self.motions))]
         )
 
-    def know_truths(self, error: float) -> str:
+    def find_truths(self, error: float) -> str:
         """Find the truths to a share of an error; return why that is impossible, or nothing."""
         for m, motion in enumerate(self.motions):
             max_steps = int(MAX_STEPS / len(motion.commands))
@@ -168,7 +176,9 @@ class Judge:
                 self._confirmed[m] = error
         return ""
 
-    def cheapest(self, method: IntegrationMethod, error: float, max_cost: float) -> int | None:
+    def find_cheapest_steps(
+        self, method: IntegrationMethod, error: float, max_cost: float
+    ) -> int | None:
         """Return the fewest steps per servo period that keep the error; None: none found.
 
         Args:
@@ -178,24 +188,24 @@ class Judge:
         """
         max_steps = MAX_STEPS / max(len(motion.commands) for motion in self.motions)
         failed, steps = 0, 1
-        while (off := self.error(method, steps, error)) > error:
+        while (off := self.compute_max_error(method, steps, error)) > error:
             failed, steps = (
                 steps,
                 _choose_next_steps(steps, off / error, KNOWN_SCHEMES[method.scheme].order),
             )
-            if steps > max_steps or self.runs.min_cost(method, steps) > max_cost:
+            if steps > max_steps or self.runs.estimate_min_cost(method, steps) > max_cost:
                 return None
         for fewer in step_counts(failed + 1, steps):
-            if self.error(method, fewer, error) <= error:
+            if self.compute_max_error(method, fewer, error) <= error:
                 return fewer
         return steps
 
-    def cost(self, chosen: Sequence[tuple[IntegrationMethod, int]]) -> list[float]:
+    def measure_costs(self, chosen: Sequence[tuple[IntegrationMethod, int]]) -> list[float]:
         """Return wall times per simulated second [s]: of each motion the least of some rounds.
 
         All take turns on each motion, so that a changing speed of the machine affects all alike.
         """
-        plants = [(self.runs.plant(method, steps), steps) for method, steps in chosen]
+        plants = [(self.runs.make_plant(method, steps), steps) for method, steps in chosen]
         min_times = np.full((len(plants), len(self.motions)), math.inf)
         for _ in range(ROUNDS):
             for m, motion in enumerate(self.motions):
@@ -204,14 +214,14 @@ class Judge:
         seconds = self.scene.servo_period * sum(len(motion.commands) for motion in self.motions)
         return [float(time_sum) / seconds for time_sum in min_times.sum(axis=1)]
 
-    def settings(self, chosen: Sequence[tuple[IntegrationMethod, int]]) -> list[Setting]:
+    def measure_settings(self, chosen: Sequence[tuple[IntegrationMethod, int]]) -> list[Setting]:
         """Return error and cost of methods with this number of steps per servo period."""
-        costs = self.cost(chosen)
+        costs = self.measure_costs(chosen)
         settings = []
         for (method, steps), cost in zip(chosen, costs, strict=True):
-            errors = self.errors(method, steps)
+            errors = self.compute_errors(method, steps)
             dt, worst = self.scene.servo_period / steps, float(errors.max())
-            settings.append(Setting(method, dt, worst, reserve(errors) * worst, cost))
+            settings.append(Setting(method, dt, worst, compute_reserve(errors) * worst, cost))
         return settings
 
 
@@ -221,7 +231,7 @@ def check_error(error: float) -> None:
         raise Refusal("advise", "error", "be from 1e-11 to 1 rad", error)
 
 
-def advise(judge: Judge, error: float) -> Advice:
+def find_cheapest_settings(judge: Judge, error: float) -> Advice:
     """Return each method's cheapest setting for an error, the cheapest of all first.
 
     Args:
@@ -232,22 +242,22 @@ def advise(judge: Judge, error: float) -> Advice:
         Refusal: the error is out of range.
     """
     check_error(error)
-    why = judge.know_truths(error)
+    why = judge.find_truths(error)
     if why:
         return Advice([], why)
     cheapest, best = list[tuple[IntegrationMethod, int]](), math.inf
     for method in judge.methods:
-        steps = judge.cheapest(method, error, DEARER * best)
+        steps = judge.find_cheapest_steps(method, error, DEARER * best)
         if steps is not None:
             cheapest.append((method, steps))
-            best = min(best, judge.runs.cost(method, steps))
+            best = min(best, judge.runs.compute_cost(method, steps))
     if not cheapest:
         return Advice([], "no step that can be tried is small enough")
-    *settings, now = judge.settings([*cheapest, judge.now])
+    *settings, now = judge.measure_settings([*cheapest, judge.now])
     return Advice(sorted(settings, key=lambda setting: setting.cost), now=now)
 
 
-def reserve(errors: Array) -> float:
+def compute_reserve(errors: Array) -> float:
     """Return the ratio of the errors of other motions to the largest of some errors, at most.
 
     `MIN_RESERVE`, or more if the largest stands out: the next one may stand out as much.

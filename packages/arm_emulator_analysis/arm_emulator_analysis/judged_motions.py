@@ -68,9 +68,9 @@ class ExcitationMotions:
             return JudgedMotion(kind, shape * self.pushed)
         q_ref = self.scene.start + (shape - shape[0]) * self._size
         try:
-            commands = self._along(q_ref, self._plant)
+            commands = self._compute_commands_along(q_ref, self._plant)
         except Diverged:
-            commands = self._along(q_ref, self._make_plant(20 * FINE))
+            commands = self._compute_commands_along(q_ref, self._make_plant(20 * FINE))
         if kind == "stop":
             commands[self.rows // 2 :] = 0.0
         return JudgedMotion(kind, commands)
@@ -79,10 +79,10 @@ class ExcitationMotions:
     def pushed(self) -> Array:
         """Largest commands of the drives, or those that move a joint briskly from rest (N,)."""
         M, bias = self._compute_equation(self.scene.start, np.zeros(len(self._size)))
-        brisk = self._command(np.abs(bias) + ACCELERATION * np.diag(M))
+        brisk = self._compute_commands(np.abs(bias) + ACCELERATION * np.diag(M))
         return np.where(np.isfinite(self._limit), self._limit, np.abs(brisk))
 
-    def _along(self, q_ref: Array, plant: Plant) -> Array:
+    def _compute_commands_along(self, q_ref: Array, plant: Plant) -> Array:
         """Return the commands (K, N) that lead the arm along q_ref (K, N), by computed torques."""
         v_ref = np.gradient(q_ref, self.scene.servo_period, axis=0)
         commands, steps = np.zeros_like(q_ref), plant.scene.steps_per_period
@@ -91,11 +91,11 @@ class ExcitationMotions:
             x = plant.state
             M, bias = self._compute_equation(x.q, x.v)
             a = RATE**2 * (position - x.q) + 2.0 * RATE * (speed - x.v)
-            commands[k] = np.clip(self._command(M @ a + bias), -self._limit, self._limit)
+            commands[k] = np.clip(self._compute_commands(M @ a + bias), -self._limit, self._limit)
             plant.advance(commands[k], steps)
         return commands
 
-    def _command(self, torque: Array) -> Array:
+    def _compute_commands(self, torque: Array) -> Array:
         out: Array = np.zeros_like(torque)
         np.divide(torque, self._gain, out=out, where=self._gain != 0.0)
         return out
@@ -143,7 +143,7 @@ def _make_steps(t: Array, rng: Rng) -> Array:
     return places[np.searchsorted(changes, t)]
 
 
-def _sweep(t: Array, rng: Rng) -> Array:
+def _make_sweep(t: Array, rng: Rng) -> Array:
     """A sine swept from 0.3 to 4 Hz, with falling amplitude."""
     low, high = rng.uniform(0.3, 0.5), rng.uniform(2.0, 4.0)
     rate = low + (high - low) * t / t[-1]
@@ -168,8 +168,8 @@ def _make_creep(t: Array, rng: Rng) -> Array:
 KINDS: dict[str, Callable[[Array, Rng], Array]] = {
     "limits": _make_telegraph,
     "steps": _make_steps,
-    "sweep": _sweep,
+    "sweep": _make_sweep,
     "reversals": _make_reversals,
     "creep": _make_creep,
-    "stop": _sweep,  # without commands from the middle on
+    "stop": _make_sweep,  # without commands from the middle on
 }

@@ -41,7 +41,7 @@ class IntegrationMethod:
     events: str
     threads: int = 1
 
-    def integrator(self, scene: Scene, steps: int) -> Integrator:
+    def make_integrator(self, scene: Scene, steps: int) -> Integrator:
         """Return it with this number of steps per servo period."""
         return dataclasses.replace(
             scene.integrator,
@@ -73,13 +73,13 @@ class Runs:
             tuple[IntegrationMethod, int], list[float]
         ] = {}  # wall, and simulated [s]
 
-    def plant(self, method: IntegrationMethod, steps: int) -> Plant:
+    def make_plant(self, method: IntegrationMethod, steps: int) -> Plant:
         """Return the machine with `steps` steps per servo period."""
         key = method, steps
         if key not in self._plants:
             if len(self._plants) >= PLANTS:
                 del self._plants[next(iter(self._plants))]
-            integrator = method.integrator(self.scene, steps)
+            integrator = method.make_integrator(self.scene, steps)
             scene = dataclasses.replace(self.scene, integrator=integrator, threads=method.threads)
             self._plants[key] = Plant(scene)
         return self._plants[key]
@@ -87,16 +87,16 @@ class Runs:
     @cached_property
     def rate(self) -> float:
         """Rate of the fastest small motion about the start [1/s]."""
-        plant = self.plant(FINEST, FEWEST)
+        plant = self.make_plant(FINEST, FEWEST)
         try:
             J = SmallMotions(plant, self.scene.start).J
             return float(np.abs(np.linalg.eigvals(J)).max())
         except np.linalg.LinAlgError:  # numbers so far apart that something overflows
             return np.inf
 
-    def q(self, method: IntegrationMethod, steps: int, commands: Array) -> Array | None:
+    def simulate_q(self, method: IntegrationMethod, steps: int, commands: Array) -> Array | None:
         """Return link positions after each row (K, N) [rad or m]; None if it diverges."""
-        plant = self.plant(method, steps)
+        plant = self.make_plant(method, steps)
         plant.reset()
         began = time.perf_counter()
         try:
@@ -108,14 +108,14 @@ class Runs:
         times[1] += self.scene.servo_period * len(commands)
         return q
 
-    def cost(self, method: IntegrationMethod, steps: int) -> float:
+    def compute_cost(self, method: IntegrationMethod, steps: int) -> float:
         """Return the wall time per simulated second [s] of all runs with this setting."""
         wall, simulated = self._times[method, steps]
         return wall / simulated
 
-    def min_cost(self, method: IntegrationMethod, steps: int) -> float:
+    def estimate_min_cost(self, method: IntegrationMethod, steps: int) -> float:
         """Return a lower bound of that time, from the cheapest step of this method; 0: unknown."""
-        costs = [self.cost(*key) / key[1] for key in self._times if key[0] == method]
+        costs = [self.compute_cost(*key) / key[1] for key in self._times if key[0] == method]
         return steps * min(costs, default=0.0)
 
 
@@ -141,13 +141,15 @@ def find_truth(runs: Runs, commands: Array, max_error: float, max_steps: int) ->
     steps, last, left = max(FEWEST, math.ceil(resolved)), None, np.inf
     differences = list[float]()
     while steps <= max_steps:
-        q = runs.q(FINEST, steps, commands)
+        q = runs.simulate_q(FINEST, steps, commands)
         if q is None:
             differences = []
         elif last is not None:
             differences.append(float(np.abs(q - last).max()))
             left = RESERVE * estimate_remainder(differences)
-            closer = runs.q(FINEST, CLOSER * steps, commands) if left <= max_error else None
+            closer = (
+                runs.simulate_q(FINEST, CLOSER * steps, commands) if left <= max_error else None
+            )
             if closer is not None and (off := float(np.abs(closer - q).max())) <= max_error:
                 return Truth(closer, max(0.5 * off, left / CLOSER), CLOSER * steps)
             if len(differences) > 3 and differences[-2] <= differences[-1] < ROUNDING:
@@ -185,7 +187,7 @@ def is_confirmed(runs: Runs, commands: Array, truth: Truth, enough: float, max_s
     """
     steps, errors = max(1, truth.steps // COARSER), list[float]()
     while steps <= min(max_steps, COARSER * truth.steps):
-        q = runs.q(OTHERWISE, steps, commands)
+        q = runs.simulate_q(OTHERWISE, steps, commands)
         errors.append(np.inf if q is None else float(np.abs(q - truth.q).max()))
         if errors[-1] <= enough:
             return True

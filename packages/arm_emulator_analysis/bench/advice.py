@@ -33,7 +33,7 @@ from arm_emulator.machine.parts.motors.pmsm import Pmsm
 from arm_emulator.machine.parts.motors.torque_motor import TorqueMotor
 from arm_emulator.machine.scene.known_parts import LINK_FRICTIONS, ROTOR_FRICTIONS
 from arm_emulator.machine.scene.scene import Scene, load_scene
-from arm_emulator_analysis.advice import Advice, Judge, advise, step_counts
+from arm_emulator_analysis.advice import Advice, Judge, find_cheapest_settings, step_counts
 from arm_emulator_analysis.judged_motions import (
     KINDS,
     SECONDS,
@@ -164,12 +164,14 @@ def judge_scene(
         kind, scene = draw_scene(Path(folder), seed)
         own = Judge(scene, list_motions(scene, seconds))
         others = Judge(scene, draw_unseen_motions(scene, seed, seconds))
-        advices = {error: advise(own, error) for error in sorted(errors, reverse=True)}
+        advices = {
+            error: find_cheapest_settings(own, error) for error in sorted(errors, reverse=True)
+        }
         # All that was stated is held against truths that are known five times as well.
         fine = 0.2 * min(
             (limit for limit, advice in advices.items() if not advice.why_none), default=1.0
         )
-        why = own.know_truths(fine) or others.know_truths(fine)
+        why = own.find_truths(fine) or others.find_truths(fine)
         return [
             AdviceVerdict(seed, kind, limit, none=advice.why_none or why)
             if advice.why_none or why
@@ -186,16 +188,16 @@ def _judge_advice(
     tried, cheaper = 0, list[tuple[IntegrationMethod, int]]()
     for method in own.methods:
         for fewer in step_counts(1, steps * MANY):
-            if own.runs.min_cost(method, fewer) > best.cost:
+            if own.runs.estimate_min_cost(method, fewer) > best.cost:
                 break  # it is not cheaper
             tried += 1
             if (
-                own.error(method, fewer, error) <= error
-                and others.error(method, fewer, best.others) <= best.others
+                own.compute_max_error(method, fewer, error) <= error
+                and others.compute_max_error(method, fewer, best.others) <= best.others
             ):
                 cheaper.append((method, fewer))
                 break
-    costs = own.cost([(best.method, steps), *cheaper])
+    costs = own.measure_costs([(best.method, steps), *cheaper])
     k = int(np.argmin(costs))
     method, fewer = [(best.method, steps), *cheaper][k]
     return AdviceVerdict(
@@ -205,9 +207,9 @@ def _judge_advice(
         str(best.method),
         best.dt,
         best.error,
-        own.error(best.method, steps),
+        own.compute_max_error(best.method, steps),
         best.others,
-        others.error(best.method, steps),
+        others.compute_max_error(best.method, steps),
         costs[0] / costs[k],
         f"{method}, {fewer} steps",
         tried,

@@ -18,8 +18,8 @@ from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
 from arm_emulator.analysis.stability import describe_divergence
 from arm_emulator.base.arrays import Array
 from arm_emulator.cli.command_line import main
-from arm_emulator_analysis.advice import Judge, advise, reserve, step_counts
-from arm_emulator_analysis.commands.advise import advise as advise_scene
+from arm_emulator_analysis.advice import Judge, compute_reserve, find_cheapest_settings, step_counts
+from arm_emulator_analysis.commands.advise import find_cheapest_setting as advise_scene
 from arm_emulator_analysis.commands.advise import read_commands, record_demo_commands
 from arm_emulator_analysis.judged_motions import (
     KINDS,
@@ -63,7 +63,7 @@ def try_only(monkeypatch: pytest.MonkeyPatch, *schemes: str) -> None:
 
 def true_error(method: IntegrationMethod, steps: int) -> float:
     judge, truth = demo()
-    q = judge.runs.q(method, steps, judge.motions[0].commands)
+    q = judge.runs.simulate_q(method, steps, judge.motions[0].commands)
     assert q is not None, f"{method} diverges with {steps} steps"
     return float(np.abs(q - truth).max())
 
@@ -72,7 +72,7 @@ def true_error(method: IntegrationMethod, steps: int) -> float:
 @pytest.mark.parametrize("expected", some([1e-5, 1e-4, 3e-6, 1e-7, 1e-8], 1))
 def test_settings_keep_the_error_by_an_independent_solution(expected: float) -> None:
     judge, _ = demo()
-    result = advise(judge, expected)
+    result = find_cheapest_settings(judge, expected)
     assert result.settings == sorted(result.settings, key=lambda setting: setting.cost), (
         "the cheapest first"
     )
@@ -150,10 +150,10 @@ def test_the_stated_errors_hold_and_hardly_any_setting_is_cheaper(
 
 def test_a_reserve_grows_where_a_motion_stands_out() -> None:
     even = np.linspace(0.5, 1.0, 20)
-    assert reserve(even) == 5.0, "the least"
-    assert reserve(np.append(even, 10.0)) == 10.0, "the next one may stand out as much"
-    assert reserve(even[:5]) == np.inf, "too few"
-    assert reserve(np.append(even, np.inf)) == np.inf, "one diverges"
+    assert compute_reserve(even) == 5.0, "the least"
+    assert compute_reserve(np.append(even, 10.0)) == 10.0, "the next one may stand out as much"
+    assert compute_reserve(even[:5]) == np.inf, "too few"
+    assert compute_reserve(np.append(even, np.inf)) == np.inf, "one diverges"
 
 
 @pytest.mark.slow
@@ -164,9 +164,13 @@ def test_divergence_is_an_infinite_error(monkeypatch: pytest.MonkeyPatch) -> Non
     # With the libraries of other machines that differ in numbers only.
     scene = load_scene("three_axis", overrides={**gear, "varied": ["joints.*"]})
     judge = Judge(scene, [JudgedMotion("push", np.full((20, 3), 5.0))])
-    assert judge.know_truths(1e-3) == "", "a truth"
-    assert judge.error(IntegrationMethod("paper", STEP), 1) == np.inf, "an error of what diverges"
-    settings = {str(setting.method): setting for setting in advise(judge, 1e-3).settings}
+    assert judge.find_truths(1e-3) == "", "a truth"
+    assert judge.compute_max_error(IntegrationMethod("paper", STEP), 1) == np.inf, (
+        "an error of what diverges"
+    )
+    settings = {
+        str(setting.method): setting for setting in find_cheapest_settings(judge, 1e-3).settings
+    }
     assert "paper" not in settings or settings["paper"].dt < 1e-5, settings
     assert "rosenbrock" in settings, settings
 
@@ -174,7 +178,7 @@ def test_divergence_is_an_infinite_error(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_senseless_errors_and_missing_motions_are_refused() -> None:
     for expected in (0.0, -1.0, 1e-13, 2.0, float("nan")):
         with pytest.raises(Refusal, match="advise: error must be from 1e-11 to 1 rad"):
-            advise(demo()[0], expected)
+            find_cheapest_settings(demo()[0], expected)
     with pytest.raises(Refusal, match=r"nowhere.csv"):
         advise_scene("three_axis", motion=Path("nowhere.csv"))
 

@@ -14,7 +14,7 @@ from arm_emulator import Refusal, load_scene
 from arm_emulator.base.io.config_files import BESIDE, check_own
 from arm_emulator.cli.commands.tune import tune_scene
 from arm_emulator.design.new_scene import write_new
-from arm_emulator_analysis.commands.advise import advise as advise_scene
+from arm_emulator_analysis.commands.advise import find_cheapest_setting as advise_scene
 from arm_emulator_analysis.integrator_text import write_integrator
 from arm_emulator_analysis.true_motion import IntegrationMethod
 from arm_emulator_identification.identified import write_fitted

@@ -20,7 +20,7 @@ from arm_emulator.extension.runs import (
     load_target_table,
 )
 from arm_emulator_analysis.advice import Advice, Judge, Setting, check_error
-from arm_emulator_analysis.advice import advise as settings_for
+from arm_emulator_analysis.advice import find_cheapest_settings as settings_for
 from arm_emulator_analysis.integrator_text import write_integrator
 from arm_emulator_analysis.judged_motions import FINE, JudgedMotion, list_motions
 from arm_emulator_analysis.true_motion import FINEST
@@ -34,7 +34,7 @@ SECONDS = 1.0  # of motions, and of the demo after the arm has settled
         "one is found `written`"
     ),
 )
-def advise(
+def find_cheapest_setting(
     scene: SceneName = "three_axis",
     /,
     *,
@@ -70,7 +70,7 @@ def advise(
         console.print(f"no setting keeps it: {advice.why_none}")
         return 1
     best = advice.settings[0]
-    _print(advice)
+    _print_advice(advice)
     console.print(_state_accuracy(best, len(motions)))
     events = f", events: {best.method.events}" if best.method.events != "step" else ""
     threads = f"; threads: {best.method.threads}" if machine.threads != best.method.threads else ""
@@ -120,7 +120,7 @@ def record_demo_commands(scene: Scene, file: Path) -> Array | None:
     """
     fine = dataclasses.replace(
         scene,
-        integrator=FINEST.integrator(scene, FINE),
+        integrator=FINEST.make_integrator(scene, FINE),
         threads=1,
     )
     rows: list[Array] = []
@@ -152,7 +152,7 @@ def _state_accuracy(best: Setting, motions: int) -> str:
     )
 
 
-def _print(advice: Advice) -> None:
+def _print_advice(advice: Advice) -> None:
     labels = ["cheapest", *[""] * (len(advice.settings) - 1), "now"]
     rows = list[tuple[str, ...]]()
     for label, setting in zip(labels, [*advice.settings, advice.now], strict=True):

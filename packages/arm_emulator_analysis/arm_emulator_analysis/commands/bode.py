@@ -36,7 +36,7 @@ SHAPED = 2  # of them, for the shaper
     "per unit] and the `phase` [rad]; with the option closed, `modes`: `frequency` [Hz], "
     "`damping`, `swing` [m/(m/s2)], and `range`: least and largest first frequency over poses [Hz]"
 )
-def bode(
+def show_frequency_responses(
     scene: SceneName = "three_axis",
     /,
     *,
@@ -78,7 +78,7 @@ def bode(
             _format_frequencies(values) for values in (response.antiresonances, response.resonances)
         )
         output.print_line("{:{}}  antiresonances {:24} resonances {}".format(name, width, *listed))
-    for file, write in ((picture, _draw), (table, _write)):
+    for file, write in ((picture, _draw_responses), (table, _write_responses)):
         if file is not None:
             try:
                 write(machine, responses, file)
@@ -140,7 +140,7 @@ def _list_facts(of: FrequencyResponse, unit: str) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _write(scene: Scene, responses: dict[str, FrequencyResponse], file: Path) -> None:
+def _write_responses(scene: Scene, responses: dict[str, FrequencyResponse], file: Path) -> None:
     columns = {"frequency": next(iter(responses.values())).frequency}
     for name, response in responses.items():
         for of, values in (("motor", response.motor), ("link", response.link)):
@@ -150,7 +150,7 @@ def _write(scene: Scene, responses: dict[str, FrequencyResponse], file: Path) ->
     np.savetxt(file, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
 
 
-def _draw(scene: Scene, responses: dict[str, FrequencyResponse], file: Path) -> None:
+def _draw_responses(scene: Scene, responses: dict[str, FrequencyResponse], file: Path) -> None:
     """Draw gains above phases, a colour per joint, links dashed."""
     from matplotlib.figure import Figure  # not pyplot: no screen, no global state
 

@@ -41,7 +41,7 @@ TITLES = {
         "`rms` [m], `frequency` [Hz] (null without a peak), `settled` [s]"
     ),
 )
-def explain(
+def explain_run(
     bag: Path,
     other: Path | None = None,
     /,
@@ -77,7 +77,7 @@ def explain(
             rule = "stand without a second bag"
             raise Refusal("explain", "--at, --when and --stop", rule, "both")
         second = RecordedMachine.open_run(other, other_scene or scene, other_run)
-        return _compare((bag.name, other.name), machine, second)
+        return _compare_runs((bag.name, other.name), machine, second)
     if stop is not None:
         if when is not None:
             raise Refusal("explain", "--stop", "stand without --when", "both")
@@ -91,7 +91,7 @@ def explain(
         output.print_line(f"it never holds, up to {last:g} s: {when}")
         output.add_facts({"scene": machine.scene.name, "tick": None})
         return 1
-    _print(machine.scene, explain_moment(machine))
+    _print_moment(machine.scene, explain_moment(machine))
     return 0
 
 
@@ -124,7 +124,7 @@ def _print_stop(machine: RecordedMachine, band: float, end: int | None) -> int:
     return 0
 
 
-def _compare(names: tuple[str, str], first: RecordedMachine, second: RecordedMachine) -> int:
+def _compare_runs(names: tuple[str, str], first: RecordedMachine, second: RecordedMachine) -> int:
     """Print the first difference of two runs, and the moment from which it comes."""
     start = first.save()
     difference, equal = find_first_difference(first, second)
@@ -153,7 +153,7 @@ def _compare(names: tuple[str, str], first: RecordedMachine, second: RecordedMac
         output.print_line(str(fault))
         return 1
     output.print_line(f"the moment from which it comes, of {names[0]}:")
-    _print(first.scene, explain_moment(first))
+    _print_moment(first.scene, explain_moment(first))
     return 1
 
 
@@ -165,7 +165,7 @@ def _is_satisfied(machine: RecordedMachine, condition: Condition) -> bool:
     return line.find(lambda run: condition.holds(run.session), machine.last) is not None
 
 
-def _print(scene: Scene, now: Explanation) -> None:
+def _print_moment(scene: Scene, now: Explanation) -> None:
     """Print a moment as tables, a column per joint."""
     names = scene.joint_names
     output.print_line(f"scene {scene.name}, tick {now.tick}, {now.t:g} s of logical time")
@@ -203,7 +203,7 @@ def _print_table(title: str, names: tuple[str, ...], rows: dict[str, Array | Non
 
 
 def _list_facts(scene: Scene, now: Explanation) -> dict[str, Any]:
-    def by_joint(row: Array | None) -> dict[str, float | None] | None:
+    def map_joints(row: Array | None) -> dict[str, float | None] | None:
         if row is None:
             return None
         values = (None if math.isnan(value) else value for value in row.tolist())
@@ -215,10 +215,10 @@ def _list_facts(scene: Scene, now: Explanation) -> dict[str, Any]:
         "t": now.t,
         "powered": now.powered,
         "orders": now.orders or None,
-        **{key: by_joint(row) for key, row in now.rows.items()},
-        "supplied": None if now.flow is None else by_joint(now.flow.supplied),
-        "dissipated": None if now.flow is None else by_joint(now.flow.dissipated),
-        "torques_on_links": {name: by_joint(row) for name, row in now.terms.link.items()},
-        "torques_on_rotors": {name: by_joint(row) for name, row in now.terms.rotor.items()},
+        **{key: map_joints(row) for key, row in now.rows.items()},
+        "supplied": None if now.flow is None else map_joints(now.flow.supplied),
+        "dissipated": None if now.flow is None else map_joints(now.flow.dissipated),
+        "torques_on_links": {name: map_joints(row) for name, row in now.terms.link.items()},
+        "torques_on_rotors": {name: map_joints(row) for name, row in now.terms.rotor.items()},
         "active": now.active,
     }
