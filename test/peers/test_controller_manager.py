@@ -33,7 +33,7 @@ from arm_emulator.ros.messages.time_stamp import convert_to_nanoseconds
 from arm_emulator.ros.node.network_client import NetworkClient
 from arm_emulator.ros.node.node_shell import DESCRIPTION_QOS
 from arm_emulator.ros.process.ros_domain import own_domain
-from arm_emulator_export.commands.ros2_control import ros2_control
+from arm_emulator_export.commands.ros2_control import write_ros2_control_files
 from arm_emulator_export.control_files import PLUGIN
 
 PACKAGE = Path(__file__).resolve().parents[2] / "packages/arm_emulator_hardware"
@@ -141,7 +141,7 @@ def move(
 
 @pytest.mark.parametrize("name", TARGETS)
 def test_a_trajectory_is_followed_with_equal_bits(prefix: Path, folder: Path, name: str) -> None:
-    ros2_control(name, into=folder)
+    write_ros2_control_files(name, into=folder)
     files = folder / f"{name}.urdf", folder / f"{name}_controllers.yaml"
     with load_processors(BUSY):
         runs = [move(prefix, *files, TARGETS[name]) for _ in range(RUNS)]
@@ -164,7 +164,7 @@ def test_mock_components_have_no_error_and_we_have_that_of_the_drives(
 ) -> None:
     """The line of the plugin is all that differs."""
     name = "three_axis"
-    ros2_control(name, into=folder)
+    write_ros2_control_files(name, into=folder)
     text = (folder / f"{name}.urdf").read_text()
     (tmp_path / "mock.urdf").write_text(text.replace(PLUGIN, MOCK))
     table: dict[str, npt.NDArray[np.float64]] = {}
@@ -217,7 +217,7 @@ def troubled(name: str, into: Path) -> Path:
         scene |= {"varied": [STIFFNESS], "faults": [FAULT.removeprefix("faults.")]}
         numbers = {"stiffness": STIFFNESS, "fault": FAULT}
     (into / f"{name}.yaml").write_text(yaml.safe_dump(scene))
-    ros2_control(str(into / f"{name}.yaml"), into=into)
+    write_ros2_control_files(str(into / f"{name}.yaml"), into=into)
     parameters = yaml.safe_load((into / f"{name}_controllers.yaml").read_text())
     manager = parameters["controller_manager"]["ros__parameters"]
     forwarded = {loop: (list(TARGETS[name]), loop) for loop in ("position", "velocity", "effort")}
@@ -303,7 +303,7 @@ def test_wrong_descriptions_are_a_line(prefix: Path, tmp_path: Path) -> None:
 def test_lockstep_node_ends_in_a_line_after_a_wrong_description(
     prefix: Path, tmp_path: Path
 ) -> None:
-    ros2_control("three_axis", into=tmp_path)
+    write_ros2_control_files("three_axis", into=tmp_path)
     description = tmp_path / "three_axis.urdf"
     description.write_text(description.read_text().replace("three_axis</param>", "none</param>"))
     with client_node() as node:
@@ -321,7 +321,7 @@ def test_lockstep_node_ends_in_a_line_after_a_wrong_description(
 def test_lockstep_node_refuses_a_parameter_in_a_line(
     prefix: Path, folder: Path, wrong: str, why: str
 ) -> None:
-    ros2_control("three_axis", into=folder)
+    write_ros2_control_files("three_axis", into=folder)
     words = "--params-file", folder / "three_axis_controllers.yaml", "-p", wrong
     done = run(prefix, "lockstep_node", "--ros-args", *words)
     assert done.returncode == 2 and done.stderr.count(why) == 1, done.stderr
@@ -342,7 +342,7 @@ def client_node() -> Iterator[NetworkClient]:
 
 def test_times_of_another_process_are_refused_in_a_line(prefix: Path, folder: Path) -> None:
     """A cycle between whose steps the clock jumps is not a cycle: it must not pass silently."""
-    ros2_control("three_axis", into=folder)
+    write_ros2_control_files("three_axis", into=folder)
     files = folder / "three_axis.urdf", folder / "three_axis_controllers.yaml"
     over = threading.Event()
     with client_node() as node:
@@ -538,7 +538,7 @@ def goal_run(prefix: Path, folder: Path) -> dict[int, str]:
 
 
 def test_a_goal_sent_while_time_stands_gives_equal_bits(prefix: Path, folder: Path) -> None:
-    ros2_control("three_axis", into=folder)
+    write_ros2_control_files("three_axis", into=folder)
     with load_processors(BUSY):
         first, *others = [goal_run(prefix, folder) for _ in range(RUNS)]
     for later in others:

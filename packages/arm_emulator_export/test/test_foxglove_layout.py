@@ -11,7 +11,7 @@ from draws import some
 
 from arm_emulator import Refusal, load_scene
 from arm_emulator.ros.messages.message_types import list_fields, read_definition
-from arm_emulator_export.commands.foxglove import foxglove
+from arm_emulator_export.commands.foxglove import write_foxglove_layout
 
 TABLE = Path(__file__).resolve().parents[3] / "docs/reference/topics.md"
 PATH = re.compile(r"(/[a-z_/0-9]+)\.([a-z_]+)(?:\[(\d+)\])?$")
@@ -51,7 +51,7 @@ def named(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
 @pytest.mark.parametrize("namespace", ["", "/cell1"])
 def test_topics_and_fields_of_a_layout_exist(scene: str, namespace: str, tmp_path: Path) -> None:
     file = tmp_path / "layout.json"
-    assert foxglove(scene, file, namespace=namespace) == 0
+    assert write_foxglove_layout(scene, file, namespace=namespace) == 0
     layout = json.loads(file.read_text())
     panels, joints, topic_types = layout["configById"], load_scene(scene).joint_names, types()
     printed = list(panels_of(layout["layout"]))
@@ -82,4 +82,4 @@ def test_topics_and_fields_of_a_layout_exist(scene: str, namespace: str, tmp_pat
         places = [re.findall(r"\[(\d+)\]$", path["value"]) for path in plot["paths"]]
         assert places == [[str(k)] for k in range(len(joints))]
     with pytest.raises(Refusal, match="be new"):
-        foxglove(scene, file)
+        write_foxglove_layout(scene, file)

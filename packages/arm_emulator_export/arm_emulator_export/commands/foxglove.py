@@ -18,7 +18,7 @@ from arm_emulator.extension.machine import (
 
 
 @command(keys="`file`, `panels`")
-def foxglove(scene: SceneName, file: Path, /, *, namespace: str = "") -> int:
+def write_foxglove_layout(scene: SceneName, file: Path, /, *, namespace: str = "") -> int:
     """Write a layout of Foxglove and Lichtblick for a network of a scene, or for its bag.
 
     Args:
@@ -84,7 +84,7 @@ def make_foxglove_layout(
     """
     base = f"/{namespace.strip('/')}/" if namespace.strip("/") else "/"
 
-    def plot(title: str, topic: str, field: str) -> dict[str, Any]:
+    def make_plot(title: str, topic: str, field: str) -> dict[str, Any]:
         paths = [
             _make_path(f"{base}{topic}.{field}[{k}]", name, COLOURS[k % len(COLOURS)])
             for k, name in enumerate(joints)
@@ -96,7 +96,7 @@ def make_foxglove_layout(
         for name, unit in further.items()
     ]
     plots = {
-        f"Plot!{topic.replace('/', '_')}_{field}": plot(title, topic, field)
+        f"Plot!{topic.replace('/', '_')}_{field}": make_plot(title, topic, field)
         for title, topic, field in (*PLOTS, *more)
     }
     speed = "Plot!speed"
@@ -111,7 +111,7 @@ def make_foxglove_layout(
         for panel, plot_config in plots.items()
     ]
     panels = {
-        "3D!arm": _arm(root, base),
+        "3D!arm": _make_arm_settings(root, base),
         "Tab!signals": {"activeTabIdx": 0, "tabs": tabs},
         **plots,
         "StateTransitions!states": {"paths": states, "isSynced": True},
@@ -142,7 +142,7 @@ def _make_split(direction: str, first: Any, second: Any, share: float = 50.0) ->
     return {"direction": direction, "first": first, "second": second, "splitPercentage": share}
 
 
-def _arm(root: str, base: str) -> dict[str, Any]:
+def _make_arm_settings(root: str, base: str) -> dict[str, Any]:
     """Return the settings of the picture: the robot description, moved by true joint angles."""
     arm = {
         "layerId": "foxglove.Urdf", "instanceId": "arm", "label": "Arm", "visible": True,

@@ -14,7 +14,7 @@ from arm_emulator_export.moveit_package import MACHINE, make_package_name, write
 
 
 @command(keys="`package` (its folder), `libraries`, `files` (paths in it)")
-def moveit_config(
+def write_moveit_package(
     scene: SceneName = "ur5",
     /,
     *,

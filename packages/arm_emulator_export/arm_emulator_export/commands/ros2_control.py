@@ -14,7 +14,7 @@ from arm_emulator_export import control_files
 
 
 @command(keys="`libraries`, `description`, `controllers`, `update_rate`")
-def ros2_control(
+def write_ros2_control_files(
     scene: SceneName = "three_axis",
     /,
     *,
