@@ -86,7 +86,7 @@ def export(
     if windows:
         files[f"binaries/{WINDOWS[version]}/{name}.dll"] = compile_for_windows(unit)
     try:
-        _write(out, files)
+        _write_archive(out, files)
     except OSError as error:
         raise Refusal("fmu", f"file {out}", "be writable", error.strerror) from None
 
@@ -108,7 +108,7 @@ def _list_included(*sources: str) -> dict[str, str]:
     return dict(sorted(included.items()))
 
 
-def _write(out: Path, files: Mapping[str, bytes]) -> None:
+def _write_archive(out: Path, files: Mapping[str, bytes]) -> None:
     """Write the archive beside its place, then move it there."""
     with tempfile.TemporaryDirectory(prefix=f"{out.name}.", dir=out.parent) as scratch:
         beside = Path(scratch) / out.name

@@ -17,7 +17,7 @@ from random_scenes import draw
 
 from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.machine.scene.known_parts import PARTS
-from arm_emulator_fmu.commands.fmu import fmu as write_fmu
+from arm_emulator_fmu.commands.fmu import write_unit as write_fmu
 from arm_emulator_fmu.export import export
 from arm_emulator_fmu.model_description import describe_model, describe_model_2
 from arm_emulator_fmu.units import find_powers

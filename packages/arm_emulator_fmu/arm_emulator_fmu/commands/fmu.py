@@ -12,7 +12,7 @@ from arm_emulator_fmu.export import TARGET, export
 
 
 @command(keys="`file`, `fmi`, `joints`, `parameters`, `period`")
-def fmu(
+def write_unit(
     scene: SceneName,
     /,
     *,

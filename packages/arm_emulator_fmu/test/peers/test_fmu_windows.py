@@ -10,7 +10,7 @@ import pytest
 from fmu_client import OK, Fmu, Instance
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator_fmu.commands.fmu import fmu
+from arm_emulator_fmu.commands.fmu import write_unit
 from arm_emulator_fmu.windows import COMPILERS, compile_for_windows
 
 TEST = Path(__file__).resolve().parent
@@ -27,7 +27,7 @@ needs_mingw = pytest.mark.skipif(
 @pytest.fixture(scope="module")
 def unit(tmp_path_factory: pytest.TempPathFactory) -> Fmu:
     folder = tmp_path_factory.mktemp("unit")
-    fmu("three_axis", out=folder / "arm.fmu", target=TARGET, windows=True)
+    write_unit("three_axis", out=folder / "arm.fmu", target=TARGET, windows=True)
     return Fmu(folder / "arm.fmu", folder / "unpacked")
 
 
