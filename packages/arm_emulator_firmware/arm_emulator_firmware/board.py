@@ -108,7 +108,7 @@ def load_board(file: Path, joint_names: Sequence[str]) -> Board:
         Refusal: no such file, no YAML, a key that is not known or missing, a value out of its
             range, registers outside of every block or used twice, or unknown joints.
     """
-    return _Reader(Section(read_yaml(file), file.name), joint_names).board()
+    return _Reader(Section(read_yaml(file), file.name), joint_names).read_board()
 
 
 class _Reader:
@@ -120,10 +120,10 @@ class _Reader:
         self._channels: list[Row] = []
         self._adcs = 0
 
-    def board(self) -> Board:
+    def read_board(self) -> Board:
         top = self._top
-        memory = self._entries("memory", self._memory)
-        self._blocks = self._entries("registers", self._block)
+        memory = self._read_entries("memory", self._read_memory)
+        self._blocks = self._read_entries("registers", self._read_block)
         regions = (*memory, *self._blocks)
         _check_regions(top.where, regions)
         flash = [region.at for region in memory if region.kind == "flash"]
@@ -131,25 +131,25 @@ class _Reader:
             raise Refusal(top.where, "memory", "have a region of kind flash", "none")
         fields = _read_numbers(top, BOARD)
         self._interrupts = fields["interrupts"]
-        fields["vectors"] = self._vectors(memory, flash[0])
+        fields["vectors"] = self._read_vectors(memory, flash[0])
         fields["preload"] = top.is_true("preload")
         rows = {
             "region": tuple(
                 {"at": region.at, "size": region.size, "kind": _KINDS[region.kind]}
                 for region in regions
             ),
-            "word": self._entries("values", self._word),
-            "encoder": self._of_joints("encoders", self._encoder),
-            "adc": self._entries("adc", self._adc),
-            "port": self._entries("ports", self._port),
-            "pwm": self._of_joints("pwm", self._pwm),
-            "pin": self._entries("pins", self._pin),
-            "uart": self._entries("uart", self._uart),
+            "word": self._read_entries("values", self._read_word_row),
+            "encoder": self._read_joint_entries("encoders", self._read_encoder),
+            "adc": self._read_entries("adc", self._read_adc),
+            "port": self._read_entries("ports", self._read_port),
+            "pwm": self._read_joint_entries("pwm", self._read_pwm),
+            "pin": self._read_entries("pins", self._read_pin),
+            "uart": self._read_entries("uart", self._read_uart),
             "channel": tuple(self._channels),
         }
-        if (mailbox := self._mailbox()) is not None:
+        if (mailbox := self._read_mailbox()) is not None:
             fields["mailbox"] = mailbox
-        names = [name for name, _ in self._sections(top, "uart")]
+        names = [name for name, _ in self._list_sections(top, "uart")]
         top.refuse_unread_keys()
         if sum(uart["targets"] for uart in rows["uart"]) > 1:
             raise Refusal(top.where, "uart", "bring targets on one line at most", "several")
@@ -160,7 +160,7 @@ class _Reader:
                 raise Refusal(top.where, "adc", rule, f"several for {self._joints[joint]}")
         return Board(top.where, regions, tuple(names), rows, fields)
 
-    def _vectors(self, memory: tuple[Region, ...], default: int) -> int:
+    def _read_vectors(self, memory: tuple[Region, ...], default: int) -> int:
         at = _read_word(self._top, "vectors", default)
         size = 4 * (16 + self._interrupts)
         if at % 128 or not any(
@@ -170,13 +170,13 @@ class _Reader:
             raise self._top.make_refusal("vectors", rule, hex(at))
         return at
 
-    def _memory(self, name: str, section: Section) -> Region:
-        return self._region(name, section, _choose(section, "kind", MEMORY, name))
+    def _read_memory(self, name: str, section: Section) -> Region:
+        return self._read_region(name, section, _choose(section, "kind", MEMORY, name))
 
-    def _block(self, name: str, section: Section) -> Region:
-        return self._region(name, section, "registers")
+    def _read_block(self, name: str, section: Section) -> Region:
+        return self._read_region(name, section, "registers")
 
-    def _region(self, name: str, section: Section, kind: str) -> Region:
+    def _read_region(self, name: str, section: Section, kind: str) -> Region:
         at, size = _read_word(section, "at"), _read_word(section, "size")
         for key, value in (("at", at), ("size", size)):
             if value % PAGE:
@@ -190,28 +190,32 @@ class _Reader:
             raise section.make_refusal("at", "be > 0", hex(at))
         return Region(name, at, size, kind)
 
-    def _word(self, _name: str, section: Section) -> Row:
-        at = self._register(section, "at")
+    def _read_word_row(self, _name: str, section: Section) -> Row:
+        at = self._read_register(section, "at")
         return {
             "at": at,
             "value": _read_word(section, "value"),
             "fixed": _read_word(section, "fixed", 0),
         }
 
-    def _encoder(self, joint: str, section: Section) -> Row:
+    def _read_encoder(self, joint: str, section: Section) -> Row:
         numbers = _read_numbers(section, ENCODER)
-        return {"joint": self._joints.index(joint), "at": self._own(section, "at"), **numbers}
+        return {
+            "joint": self._joints.index(joint),
+            "at": self._claim_register(section, "at"),
+            **numbers,
+        }
 
-    def _adc(self, _name: str, section: Section) -> Row:
-        sections = self._sections(section, "channels")
-        channels = [self._channel(section) for _, section in sections]
+    def _read_adc(self, _name: str, section: Section) -> Row:
+        sections = self._list_sections(section, "channels")
+        channels = [self._read_channel(section) for _, section in sections]
         for (joint, _), channel in zip(sections, channels, strict=True):
             self._check_joint(section, "channels", joint)
             channel |= {"joint": self._joints.index(joint), "adc": self._adcs}
         self._channels += channels
         self._adcs += 1
-        status = self._own_if_given(section, "status")
-        control = self._own_if_given(section, "control")
+        status = self._claim_optional_register(section, "status")
+        control = self._claim_optional_register(section, "control")
         for key, needs in (("flag", status), ("enable", control), ("interrupt", status)):
             if section.has_key(key) and not needs:
                 register = "control" if key == "enable" else "status"
@@ -223,33 +227,33 @@ class _Reader:
             "flag": section.read_integer(_BIT.rename("flag")) if status else 0,
             "control": control,
             "enable": section.read_integer(_BIT.rename("enable")) if control else 0,
-            "interrupt": self._interrupt(section),
+            "interrupt": self._read_interrupt(section),
             "clear_by_one": section.read_choice("clear", ("zero", "one"), "zero") == "one",
         }
 
-    def _channel(self, section: Section) -> Row:
-        at = self._own(section, "at")
+    def _read_channel(self, section: Section) -> Row:
+        at = self._claim_register(section, "at")
         if section.read_choice("holds", ("counts", "float"), "counts") == "float":
             return {"at": at, "bits": 0}
         numbers = _read_numbers(section, CHANNEL)
         section.read_number(replace(CHANNEL[-1], at_most=2 ** numbers["bits"] - 1))
         return {"at": at, **numbers}
 
-    def _pwm(self, joint: str, section: Section) -> Row:
+    def _read_pwm(self, joint: str, section: Section) -> Row:
         kind = _choose(section, "kind", BRIDGES)
         counted = kind != "float"
         unipolar = kind == "unipolar"
         row: Row = {
             "joint": self._joints.index(joint),
             "kind": _KINDS[kind],
-            "compare": self._register(section, "compare"),
-            "reload": self._register(section, "reload") if counted else 0,
+            "compare": self._read_register(section, "compare"),
+            "reload": self._read_register(section, "reload") if counted else 0,
         }
         aligned = section.read_choice("aligned", ("edge", "center"), "edge") if counted else ""
         row |= {
             "counts_more": aligned == "edge",
-            "minus": self._register(section, "minus") if kind == "pair" else 0,
-            "direction": self._register(section, "direction") if unipolar else 0,
+            "minus": self._read_register(section, "minus") if kind == "pair" else 0,
+            "direction": self._read_register(section, "direction") if unipolar else 0,
             "direction_bit": section.read_integer(_BIT.rename("direction_bit")) if unipolar else 0,
         }
         if not counted:
@@ -258,7 +262,7 @@ class _Reader:
             row["full_scale"] = section.read_number(_FULL_SCALE)
         return row
 
-    def _pin(self, _name: str, section: Section) -> Row:
+    def _read_pin(self, _name: str, section: Section) -> Row:
         kind = _choose(section, "is", PINS)
         joint = section.read_text("joint") if section.has_key("joint") else ""
         if joint:
@@ -268,21 +272,22 @@ class _Reader:
             "kind": _KINDS[kind],
             "bit": section.read_integer(_BIT),
             "low": section.read_choice("active", ("high", "low"), "high") == "low",
-            "at": self._register(section, "at"),
+            "at": self._read_register(section, "at"),
         }
 
-    def _port(self, _name: str, section: Section) -> Row:
-        row = {"output": self._register(section, "output")}
+    def _read_port(self, _name: str, section: Section) -> Row:
+        row = {"output": self._read_register(section, "output")}
         return row | {
-            key: self._own_if_given(section, key) for key in ("set_reset", "set", "clear")
+            key: self._claim_optional_register(section, key)
+            for key in ("set_reset", "set", "clear")
         }
 
-    def _uart(self, _name: str, section: Section) -> Row:
-        row = {key: self._own(section, key) for key in ("status", "data", "control")}
-        row |= {"interrupt": self._interrupt(section), "targets": section.is_true("targets")}
+    def _read_uart(self, _name: str, section: Section) -> Row:
+        row = {key: self._claim_register(section, key) for key in ("status", "data", "control")}
+        row |= {"interrupt": self._read_interrupt(section), "targets": section.is_true("targets")}
         return {**row, **_read_numbers(section, UART)}
 
-    def _mailbox(self) -> Row | None:
+    def _read_mailbox(self) -> Row | None:
         section = self._top.get_section("targets")
         if section is None:
             return None
@@ -290,14 +295,14 @@ class _Reader:
         names = joints.list_keys()
         for joint in names:
             self._check_joint(section, "joints", joint)
-        at = {joint: self._own(joints, joint) for joint in names}
+        at = {joint: self._claim_register(joints, joint) for joint in names}
         return {
             "at": [at.get(joint, 0) for joint in self._joints],
-            "count": self._own(section, "count"),
-            "interrupt": self._interrupt(section),
+            "count": self._claim_register(section, "count"),
+            "interrupt": self._read_interrupt(section),
         }
 
-    def _interrupt(self, section: Section) -> int:
+    def _read_interrupt(self, section: Section) -> int:
         return section.read_integer(replace(_INTERRUPT, at_most=self._interrupts - 1))
 
     def _check_joint(self, section: Section, key: str, joint: str) -> None:
@@ -305,36 +310,38 @@ class _Reader:
             rule = "name joints of the scene"
             raise section.make_refusal(key, rule, joint, ", ".join(self._joints))
 
-    def _of_joints(self, key: str, read: Callable[[str, Section], _Entry]) -> tuple[_Entry, ...]:
+    def _read_joint_entries(
+        self, key: str, read: Callable[[str, Section], _Entry]
+    ) -> tuple[_Entry, ...]:
         section = self._top.get_section(key)
         for joint in section.list_keys() if section else ():
             self._check_joint(self._top, key, joint)
-        return self._entries(key, read)
+        return self._read_entries(key, read)
 
-    def _entries(self, key: str, read: Callable[[str, Section], _Entry]) -> tuple[_Entry, ...]:
-        return tuple(read(name, section) for name, section in self._sections(self._top, key))
+    def _read_entries(self, key: str, read: Callable[[str, Section], _Entry]) -> tuple[_Entry, ...]:
+        return tuple(read(name, section) for name, section in self._list_sections(self._top, key))
 
     @staticmethod
-    def _sections(above: Section, key: str) -> list[tuple[str, Section]]:
+    def _list_sections(above: Section, key: str) -> list[tuple[str, Section]]:
         section = above.get_section(key)
         names = section.list_keys() if section else []
         if len(names) > MAX_ENTRIES:
             raise above.make_refusal(key, f"have at most {MAX_ENTRIES} entries", len(names))
         return [(name, section.require_section(name)) for name in names] if section else []
 
-    def _own_if_given(self, section: Section, key: str) -> int:
-        return self._own(section, key) if section.has_key(key) else 0
+    def _claim_optional_register(self, section: Section, key: str) -> int:
+        return self._claim_register(section, key) if section.has_key(key) else 0
 
-    def _own(self, section: Section, key: str) -> int:
+    def _claim_register(self, section: Section, key: str) -> int:
         """Return the address of a register that nothing else uses."""
-        at = self._register(section, key)
+        at = self._read_register(section, key)
         if at in self._used:
             rule = "be a register of its own, not the one of another key"
             raise section.make_refusal(key, rule, hex(at))
         self._used.add(at)
         return at
 
-    def _register(self, section: Section, key: str) -> int:
+    def _read_register(self, section: Section, key: str) -> int:
         at = _read_word(section, key)
         if at % 4 or not any(block.at <= at < block.at + block.size for block in self._blocks):
             blocks = ", ".join(f"{b.name} from {b.at:#x}" for b in self._blocks) or "no block"

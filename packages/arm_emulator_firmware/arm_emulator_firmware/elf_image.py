@@ -70,7 +70,7 @@ class ElfImage:
                 rule = f"have at most {MAX_HEADERS} segments and sections"
                 raise Refusal(self.name, "file", rule, count)
 
-    def symbol(self, address: int) -> str:
+    def find_symbol(self, address: int) -> str:
         """Return the function at an address and how far in; empty: none is known there."""
         index = bisect.bisect_right(self._starts, address) - 1
         if index < 0:

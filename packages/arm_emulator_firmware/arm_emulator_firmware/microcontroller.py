@@ -31,7 +31,7 @@ class FirmwareEnd(RuntimeError):
     """Raised when the firmware cannot continue, or a debugger has ended it; one line."""
 
 
-def runner_unit() -> Unit:
+def make_runner_unit() -> Unit:
     """Return the runner as a unit to compile.
 
     Raises:
@@ -47,7 +47,7 @@ def runner_unit() -> Unit:
 @cache
 def _load_runner() -> Library:
     load_unicorn()
-    return compiled_library(runner_unit())
+    return compiled_library(make_runner_unit())
 
 
 class Microcontroller(ControlCode):
@@ -117,7 +117,7 @@ class Microcontroller(ControlCode):
         """Go on from what `save` of this chip has returned, to the last bit."""
         self._calls.mcu_restore(self.with_, zlib.decompress(saved))
 
-    def debug(self, listening: socket.socket) -> None:
+    def wait_for_debugger(self, listening: socket.socket) -> None:
         """Wait for gdb at a socket that listens, and let it halt the processor."""
         self._calls.mcu_debug(self.with_, listening.fileno())
 
@@ -139,7 +139,7 @@ class Microcontroller(ControlCode):
         self._calls.mcu_get_fault(self.with_, fault)
         if not c_text(fault.what):
             return ""
-        symbol = self._image.symbol(fault.pc)
+        symbol = self._image.find_symbol(fault.pc)
         at = f"{fault.pc:#010x}" + (f" in {symbol}" if symbol else "")
         return f"{c_text(fault.what)}, pc {at}, at {fault.time:.9g} s"
 

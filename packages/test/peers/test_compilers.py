@@ -109,9 +109,9 @@ def units(folder: Path) -> Iterator[Unit]:
         make_answered_states_unit(),
     )
     if find_spec("unicorn"):
-        from arm_emulator_firmware.microcontroller import runner_unit
+        from arm_emulator_firmware.microcontroller import make_runner_unit
 
-        yield runner_unit()
+        yield make_runner_unit()
 
 
 @pytest.fixture(scope="module")

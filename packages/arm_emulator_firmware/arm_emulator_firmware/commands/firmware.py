@@ -54,7 +54,7 @@ _WHERE = ("stdout", "pty", "none")
         "as `run`; `failed`, `instructions_per_period`, `awake`, `faults`, `resets`, `first_fault`"
     ),
 )
-def firmware(
+def simulate_firmware(
     board: Path,
     firmware: Path,
     /,
@@ -148,7 +148,7 @@ def _wait_for_gdb(chip: Microcontroller, port: int, elf: Path) -> None:
             raise Refusal("firmware", f"port {port}", "be free", error.strerror) from None
         listening.listen(1)
         print(f"waiting for gdb: gdb-multiarch {elf} -ex 'target remote :{port}'", file=sys.stderr)
-        chip.debug(listening)
+        chip.wait_for_debugger(listening)
 
 
 @contextlib.contextmanager

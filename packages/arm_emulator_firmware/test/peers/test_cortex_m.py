@@ -227,7 +227,7 @@ def debugged(
 
         worker = threading.Thread(target=work)
         worker.start()
-        chip.debug(listening)
+        chip.wait_for_debugger(listening)
     try:
         return record_states(chip, scene, table, ticks)
     finally:
@@ -301,7 +301,7 @@ def test_gdb_halts_where_a_condition_on_the_machine_begins_to_hold(
         listening.listen(1)
         worker = threading.Thread(target=work, args=[listening.getsockname()[1]])
         worker.start()
-        chip.debug(listening)
+        chip.wait_for_debugger(listening)
     for _ in range(ticks):
         run.advance(1)
         done = chip.figures

@@ -15,7 +15,7 @@ from test_cortex_m import Debugger
 
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator_firmware.board import load_board
-from arm_emulator_firmware.commands.firmware import firmware
+from arm_emulator_firmware.commands.firmware import simulate_firmware
 from arm_emulator_firmware.elf_image import ElfImage
 from arm_emulator_firmware.microcontroller import FirmwareEnd, Microcontroller
 
@@ -172,7 +172,7 @@ int main(void) {{
 """,
     )
     board = write_board(tmp_path)
-    done = firmware(board, elf, seconds=0.01)
+    done = simulate_firmware(board, elf, seconds=0.01)
     assert done == 0, "exit code"
     printed = capfd.readouterr().out
     assert "awake, 2 faults, 2 resets" in printed, printed
@@ -274,7 +274,7 @@ def heard_while_debugged(folder: Path, elf: Path, work: Callable[[int], None]) -
         ours.listen(1)
         thread = threading.Thread(target=work, args=(ours.getsockname()[1],))
         thread.start()
-        chip.debug(ours)
+        chip.wait_for_debugger(ours)
         TableRun(SCENE, None, chip).advance(10)
         thread.join()
     os.close(line)
