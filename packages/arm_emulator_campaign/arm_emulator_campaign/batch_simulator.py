@@ -72,18 +72,18 @@ class BatchSimulator:
         make_sampler, kernels = _choose_sampler(device, program is not None)
         self._fleet = Fleet(scene, width, workers=1, device=device, kernels=kernels)
         if program is not None:
-            program.move(self._fleet.core.device, width)
+            program.move_runs(self._fleet.core.device, width)
         self._servos = ServoFleet(self._fleet, servo)
         self._tuned = [servo] * width
         self._sampler = make_sampler(self._fleet, self._evaluators.samples, ROOM)
         self._schedule = FleetWay(scene, width, self._sampler.look, self._sampler.with_)
         self._frame = self._fleet.frame()
         table = scenario.table
-        self._nominal = Targets.of([(table.compute_ticks(scene.servo_period), table.q)] * width)
+        self._nominal = Targets.stack_runs([(table.compute_ticks(scene.servo_period), table.q)] * width)
         self._targets = self._nominal
         self._servos.aim_at(self._targets.since, self._targets.q, self._targets.first)
 
-    def runs(self, cases: Cases) -> Iterator[Outcomes]:
+    def simulate_runs(self, cases: Cases) -> Iterator[Outcomes]:
         """Simulate runs and judge them; yield some after the other.
 
         Raises:
@@ -95,18 +95,18 @@ class BatchSimulator:
                 bound = bind_cases(self._campaign, some)
             except Refusal as no:
                 place, refused = self._find_refused(some, no)
-                yield from self.runs(some[:place])
+                yield from self.simulate_runs(some[:place])
                 raise refused from None
             for begin in range(0, len(some), self.width):
-                yield self._run(some, bound, begin, min(begin + self.width, len(some)))
+                yield self._simulate_bound(some, bound, begin, min(begin + self.width, len(some)))
 
-    def run(self, case: Case) -> Outcome:
+    def simulate_run(self, case: Case) -> Outcome:
         """Simulate one run and judge it: to the last bit as beside others.
 
         Raises:
             Refusal: values of this run that are out of range.
         """
-        (outcomes,) = self.runs(Cases.of([case]))
+        (outcomes,) = self.simulate_runs(Cases.stack_runs([case]))
         return Outcome.of(self._campaign, case, outcomes)
 
     def _find_refused(self, cases: Cases, otherwise: Refusal) -> tuple[int, Refusal]:
@@ -122,9 +122,9 @@ class BatchSimulator:
                 return place, Refusal(where, no.quantity, no.rule, no.got, no.valid)
         return 0, otherwise
 
-    def _run(self, cases: Cases, bound: BoundCases, first: int, end: int) -> Outcomes:
+    def _simulate_bound(self, cases: Cases, bound: BoundCases, first: int, end: int) -> Outcomes:
         """Simulate the runs [first, end) of those that are bound."""
-        self.begin(bound, first, end)
+        self.begin_runs(bound, first, end)
         evaluators, sampler, fleet, frame = (
             self._evaluators,
             self._sampler,
@@ -132,16 +132,16 @@ class BatchSimulator:
             self._frame,
         )
         count, last = end - first, bound.last[first:end]
-        evaluators.begin()
-        sampler.forget()
+        evaluators.begin_runs()
+        sampler.forget_samples()
         fleet.look(self._schedule)
         taken = np.zeros(count, np.int64)
         while True:
             some = int(min(ROOM - (taken[0] == 0), last.max() + 1 - max(1, taken.max())))
             fleet.follow(self._servos, some, frame, way=self._schedule, arms=count)
-            samples, counts = sampler.take()
+            samples, counts = sampler.take_samples()
             fresh = np.maximum(np.minimum(last + 1 - taken, counts[:count]), 0)
-            evaluators.take(samples, fresh, self._targets)
+            evaluators.take_samples(samples, fresh, self._targets)
             taken += counts[:count]
             # An arm stands still where it diverged; one whose run has ended goes on for nothing.
             ended = taken > last
@@ -149,7 +149,7 @@ class BatchSimulator:
             diverged = (faults >= 0) & (t < (last - 0.5) * self._scene.servo_period)
             if np.all(ended | diverged):
                 break
-        robustness, measures = evaluators.end(diverged)
+        robustness, measures = evaluators.end_runs(diverged)
         return Outcomes(
             cases.indices[first:end],
             cases.values[first:end],
@@ -158,7 +158,7 @@ class BatchSimulator:
             np.where(diverged, t, np.nan),
         )
 
-    def begin(self, bound: BoundCases, first: int, end: int) -> None:
+    def begin_runs(self, bound: BoundCases, first: int, end: int) -> None:
         """Set arms and servos to the starts of runs; further arms begin as the last one."""
         fleet, servos = self._fleet, self._servos
         runs = np.minimum(np.arange(first, first + self.width), end - 1)
@@ -167,12 +167,14 @@ class BatchSimulator:
         fleet.set_parameters(numbers)
         self._sampler.place_joints(numbers)
         fleet.reset(q=bound.start[runs if len(bound.start) > 1 else 0])
-        self._tune([bound.servos[run] for run in runs] if len(bound.servos) > 1 else bound.servos)
+        self._tune_servos(
+            [bound.servos[run] for run in runs] if len(bound.servos) > 1 else bound.servos
+        )
         self._referenced = bound, bound.changes.give_to(self._schedule, first, end)
-        self._aim(self._nominal if bound.targets is None else bound.targets.take_runs(runs))
+        self._set_targets(self._nominal if bound.targets is None else bound.targets.take_runs(runs))
         servos.reset()
 
-    def _tune(self, configs: Sequence[ServoConfig]) -> None:
+    def _tune_servos(self, configs: Sequence[ServoConfig]) -> None:
         """Give each servo its gains; one config is that of all."""
         every = [*configs] * (self.width if len(configs) == 1 else 1)
         for arm in range(self.width) if every != self._tuned else ():
@@ -180,7 +182,7 @@ class BatchSimulator:
                 self._servos.retune(arm, every[arm])
         self._tuned = every
 
-    def _aim(self, targets: Targets) -> None:
+    def _set_targets(self, targets: Targets) -> None:
         """Give the servos the targets of each arm."""
         if targets is not self._targets:
             self._servos.aim_at(targets.since, targets.q, targets.first)

@@ -59,7 +59,7 @@ class Cases(Sequence[Case]):
     reseeds: tuple[tuple[int, float], ...] = ()
 
     @classmethod
-    def of(cls, runs: Sequence[Case]) -> Cases:
+    def stack_runs(cls, runs: Sequence[Case]) -> Cases:
         """Return runs, one at least, that differ in values, indices and seeds alone."""
         shared = {(case.without, case.seconds, case.reseeds) for case in runs}
         assert len(shared) == 1

@@ -27,10 +27,10 @@ def write_case_bag(campaign: Campaign, simulator: Simulator, case: Case, folder:
     # ROS 2 need not be installed for a campaign.
     from arm_emulator.extension.bags import BAG_SCENE_FILE, CHANGE_KINDS, RunBag
 
-    def changed(change: Change) -> None:
+    def record_change(change: Change) -> None:
         bag.write_change(CHANGE_KINDS[type(change)])
 
-    pieces = simulator.drive(case, 1, changed)
+    pieces = simulator.drive_run(case, 1, record_change)
     next(pieces)
     with RunBag(
         folder, simulator.session, {"campaign": f"run {case.index} of {campaign.file}"}

@@ -79,7 +79,7 @@ def make_change_rows(
     columns = _Columns(scene, sound, shape)
     for place, (tick, seed) in enumerate(reseeds):
         ticks[:, place] = tick
-        columns.put(np.s_[:], place, NumberChange("seed", seed))
+        columns.put_change(np.s_[:], place, NumberChange("seed", seed))
     happens = np.ones(shape, bool)
     happens[:, R:] = events.holders != UNCHANGED
     ends = [fault.ends() for fault in faults]
@@ -88,7 +88,7 @@ def make_change_rows(
         for holder in set(holders.tolist()) - {UNCHANGED}:
             change = ends[event % F] if holder == SOUND else events.changes[holder]
             runs = holders == holder
-            columns.put(np.s_[:] if np.all(runs) else runs, R + event, change)
+            columns.put_change(np.s_[:] if np.all(runs) else runs, R + event, change)
     order = np.argsort(ticks, axis=1, kind="stable")
     run = np.arange(count)[:, None]
     selected = happens[run, order]
@@ -114,7 +114,7 @@ class _Columns:
         }
         self.wrenches: list[NDArray[Any]] = []
 
-    def put(self, runs: Any, event: int, change: Change) -> None:
+    def put_change(self, runs: Any, event: int, change: Change) -> None:
         """Let a change happen at an event of some runs; a change of arrays is of all runs."""
         where, count = "campaign", len(self._sound)
         values: dict[str, Any] = {"kind": KINDS[type(change)]}

@@ -42,7 +42,7 @@ def build_judges_unit() -> Unit:
 
 
 class DeviceProgram(Program):
-    """Judges the samples of runs on a device, where they stay: see `measure_run`, then `move`.
+    """Judges the samples of runs on a device, where they stay: see `measure_run`, then `move_runs`.
 
     Its requirements are those of one run, of which the others have copies; nothing is traced.
 
@@ -85,7 +85,7 @@ class DeviceProgram(Program):
             )
             self._requirement_sizes.append((int(size[0]), int(size[1])))
 
-    def move(self, device: Device, runs: int) -> None:
+    def move_runs(self, device: Device, runs: int) -> None:
         """Judge so many runs there from now on.
 
         Raises:
@@ -118,7 +118,7 @@ class DeviceProgram(Program):
             )
         ]
         self._like = copied, heads
-        self._launch(
+        self._launch_kernel(
             "judge_build",
             like=copy_to_device(device, view_bytes(like, JUDGES.get_size("judges"))),
             requirements=copy_to_device(
@@ -134,12 +134,14 @@ class DeviceProgram(Program):
         )
         device.synchronize()  # what it reads may go
 
-    def begin(self) -> None:
+    def begin_runs(self) -> None:
         """Begin all runs."""
         self.device.fill(self._memory["failed"], 0)
-        self._launch("judge_begin")
+        self._launch_kernel("judge_begin")
 
-    def take(self, samples: Any, counts: NDArray[np.int64], targets: Targets | None = None) -> None:
+    def take_samples(
+        self, samples: Any, counts: NDArray[np.int64], targets: Targets | None = None
+    ) -> None:
         """Go on with samples (runs, S, room) on the device, of which there are so many (runs,)."""
         assert targets is not None
         if targets is not self._targets:
@@ -151,7 +153,7 @@ class DeviceProgram(Program):
         padded = np.zeros(self._runs, np.int64)
         padded[: len(counts)] = counts
         self.device.write(self._memory["counts"], padded)
-        self._launch(
+        self._launch_kernel(
             "judge_take",
             samples=samples,
             sample_rows=samples.size // (8 * self._runs * self._room),
@@ -164,10 +166,10 @@ class DeviceProgram(Program):
             failed=self._memory["failed"],
         )
 
-    def end(self) -> tuple[Array, Array]:
+    def end_runs(self) -> tuple[Array, Array]:
         """Return robustness (runs, requirements) and measures (runs, measures)."""
         places = self._memory["robustness"], self._memory["reduced"]
-        self._launch("judge_end", robustness=places[0], measures=places[1])
+        self._launch_kernel("judge_end", robustness=places[0], measures=places[1])
         if self.device.read(self._memory["failed"], np.int32, (1,))[0]:
             raise MemoryError("no memory for a requirement")
         robustness, reduced = (
@@ -176,7 +178,7 @@ class DeviceProgram(Program):
         )
         return robustness, reduced
 
-    def _launch(self, kernel: str, **values: Any) -> None:
+    def _launch_kernel(self, kernel: str, **values: Any) -> None:
         places = {
             name: cast_pointer(value) if isinstance(value, Memory) else value
             for name, value in {"all": self._memory["all"], **values}.items()

@@ -26,7 +26,7 @@ class DeviceSampler(FleetSampler):
         fleet: of arms, with `KERNELS`.
         names: of signals, in the order of their rows.
         room: for samples of each.
-        stays: `take` returns their memory on the device, not a copy.
+        stays: `take_samples` returns their memory on the device, not a copy.
     """
 
     def __init__(self, fleet: Fleet, names: Sequence[str], room: int, stays: bool) -> None:
@@ -35,17 +35,19 @@ class DeviceSampler(FleetSampler):
         super().__init__(fleet, names, room)
         self.look = "sampler_look"
 
-    def sampler(self, rows: Mapping[str, NDArray[Any]] | NDArray[np.void], **more: Any) -> CData:
+    def make_sampler(
+        self, rows: Mapping[str, NDArray[Any]] | NDArray[np.void], **more: Any
+    ) -> CData:
         """Return the address of a sampler on the device, see `FleetSampler`."""
         assert isinstance(rows, Mapping)
         self._rows: dict[int, tuple[NDArray[Any], Memory]] = {}
         for name in ("measurements", "truths"):
             if more[name] != C_NULL:
-                more[name] = self._move(more[name], rows)
+                more[name] = self._move_struct(more[name], rows)
         fleet = {"fleet": cast_pointer(more["fleet"].memory)}
-        struct = super().sampler(rows, **more | fleet | {"show": C_NULL})
+        struct = super().make_sampler(rows, **more | fleet | {"show": C_NULL})
         for number in self._numbers[: struct.count]:
-            number["place"] = self._find(int(number["place"]), rows)
+            number["place"] = self._find_address(int(number["place"]), rows)
         self._of_numbers = copy_to_device(self._device, self._numbers)
         self._of_samples = self._device.allocate(self._samples.nbytes)
         self._of_taken = copy_to_device(self._device, self._taken)
@@ -60,25 +62,25 @@ class DeviceSampler(FleetSampler):
         )
         return cast_pointer(self._of_sampler)
 
-    def forget(self) -> None:  # noqa: D102
-        super().forget()
+    def forget_samples(self) -> None:  # noqa: D102
+        super().forget_samples()
         self._device.fill(self._of_taken, 0)
 
-    def take(self) -> tuple[Any, NDArray[np.int64]]:  # noqa: D102
+    def take_samples(self) -> tuple[Any, NDArray[np.int64]]:  # noqa: D102
         counts = self._device.read(self._of_taken, np.int64, self._taken.shape)
         self._device.fill(self._of_taken, 0)
         if self._stays:
             return self._of_samples, counts
         self._samples = self._device.read(self._of_samples, np.float64, self._samples.shape)
         self._taken[:] = counts
-        return super().take()
+        return super().take_samples()
 
-    def _move(self, struct: CData, rows: Mapping[str, NDArray[Any]]) -> CData:
+    def _move_struct(self, struct: CData, rows: Mapping[str, NDArray[Any]]) -> CData:
         """Return the address of a copy on the device, which points to memory there."""
         for name, field in FLEET.ffi.typeof(struct).item.fields:
             at = getattr(struct, name)
             if field.type.kind == "pointer" and at != C_NULL:
-                there = self._find(int(FLEET.ffi.cast("uintptr_t", at)), rows)
+                there = self._find_address(int(FLEET.ffi.cast("uintptr_t", at)), rows)
                 setattr(struct, name, cast_address(there))
         copied = copy_to_device(
             self._device, view_bytes(struct, FLEET.ffi.sizeof(FLEET.ffi.typeof(struct).item))
@@ -86,7 +88,7 @@ class DeviceSampler(FleetSampler):
         self._copied.append(copied)
         return cast_pointer(copied)
 
-    def _find(self, address: int, rows: Mapping[str, NDArray[Any]]) -> int:
+    def _find_address(self, address: int, rows: Mapping[str, NDArray[Any]]) -> int:
         """Return where on the device a number of some arrays is."""
         for array in rows.values():
             began = int(array.__array_interface__["data"][0])

@@ -63,7 +63,7 @@ class Measure:
         expression = parse_expression(match[2], where, quantity)
         self.of: list[Expression] = expand_stars(expression, signal_names, where, quantity)
 
-    def end(self, values: Array) -> Array:
+    def combine_signals(self, values: Array) -> Array:
         """Return the measure of several signals (runs,) from that of each (runs, signals)."""
         of_all: Array = values.min(axis=1) if self.kind == "min" else values.max(axis=1)
         return of_all
@@ -102,7 +102,7 @@ class PythonRequirement:
             raise section.make_refusal("python", rule, section.read_text("python"))
         self._function, self._section = _load_function(code, name, section), section
 
-    def judge(self, trace: Sequence[Array]) -> float:
+    def judge_trace(self, trace: Sequence[Array]) -> float:
         """Return the function's result for pieces (names, n) of a run.
 
         Raises:
@@ -246,25 +246,25 @@ class Evaluators:
         self.samples = rows.samples
         self.needs_processor = bool(self._checked or has_tool_signals(self.samples))
 
-    def begin(self) -> None:
+    def begin_runs(self) -> None:
         """Begin all runs."""
-        self.program.begin()
+        self.program.begin_runs()
         for trace in self._traces if self._checked else ():
             trace.clear()
 
-    def take(self, samples: Any, counts: NDArray[np.int64], targets: Targets) -> None:
+    def take_samples(self, samples: Any, counts: NDArray[np.int64], targets: Targets) -> None:
         """Go on with samples (runs, S, room), of which there are so many (runs,), see `Program`."""
-        self.program.take(samples, counts, targets)
+        self.program.take_samples(samples, counts, targets)
         if self._checked:
             for trace, rows, count in zip(self._traces, self.program.kept, counts, strict=False):
                 trace.append(rows[:, :count].copy())
 
-    def end(self, diverged: NDArray[np.bool_]) -> tuple[Array, Array]:
+    def end_runs(self, diverged: NDArray[np.bool_]) -> tuple[Array, Array]:
         """End the runs (runs,); return robustness and measures, a row for each.
 
         They are -inf and NaN in runs that diverged; robustness that is not a number is -inf, too.
         """
-        values, reduced = self.program.end()
+        values, reduced = self.program.end_runs()
         runs = len(diverged)
         robustness = np.full((runs, len(self._of_formulas) + len(self._of_checked)), -math.inf)
         measures = np.full((runs, len(self._measures)), math.nan)
@@ -275,11 +275,11 @@ class Evaluators:
             for place, checked in zip(self._of_checked, self._checked.values(), strict=True):
                 end = first + len(checked.names)
                 trace = [rows[first:end] for rows in self._traces[run]]
-                robustness[run, place], first = checked.judge(trace), end
+                robustness[run, place], first = checked.judge_trace(trace), end
         robustness[np.isnan(robustness)] = -math.inf
         first = 0
         for place, measure in enumerate(self._measures):
             end = first + len(measure.of)
-            measures[sound, place] = measure.end(reduced[sound, first:end])
+            measures[sound, place] = measure.combine_signals(reduced[sound, first:end])
             first = end
         return robustness, measures

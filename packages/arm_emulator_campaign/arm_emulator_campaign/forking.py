@@ -63,7 +63,7 @@ class ForkingRun(Simulator):
 
     def begin(self, index: int, seed: int) -> None:
         """Begin a run with the values of an index, and noise of a seed."""
-        self._begin(draw_case(self._campaign.variation, index))
+        self._begin_run(draw_case(self._campaign.variation, index))
         self._set_seed(seed)
         self.session.plant.reset(self._scenario.start)
         self._lowest = math.inf
@@ -118,13 +118,13 @@ class ForkingRun(Simulator):
         """
         if self._is_at(level):
             return True, self._lowest
-        self._sampler.begin()
+        self._sampler.begin_sampling()
         self._margin.go_on(self.session.tick)
         try:
             self._take(level)  # the sample at which the run is, before any piece
             if self._is_at(level):
                 return True, self._lowest
-            pieces, before = self._pieces(), self.fork()
+            pieces, before = self._advance_in_pieces(), self.fork()
             while next(pieces, None) is not None:
                 later = self._take(level)
                 if later > 0:
@@ -132,7 +132,7 @@ class ForkingRun(Simulator):
                     self._return_to(before)
                     self._longest_look = tick - self.session.tick
                     self._margin.go_on(self.session.tick + 1)
-                    next(self._pieces())
+                    next(self._advance_in_pieces())
                     self._take(level)
                 if self._is_at(level):
                     break
@@ -141,7 +141,7 @@ class ForkingRun(Simulator):
         except Diverged:
             self._lowest = -math.inf
         finally:
-            self._sampler.end()
+            self._sampler.end_sampling()
             self._longest_look = self._look
         return self._is_at(level), self._lowest
 
@@ -150,9 +150,9 @@ class ForkingRun(Simulator):
 
     def _take(self, level: float) -> int:
         """Judge a piece; return how many ticks before its end it was at the level first."""
-        samples, counts = self._sampler.take()
+        samples, counts = self._sampler.take_samples()
         end, count = self.session.tick + 1, int(counts[0])
-        self._margin.take(samples, counts, self._targets)
+        self._margin.take_samples(samples, counts, self._targets)
         first = end - count
         begin, stop = max(self._from - first, 0), int(min(self._to + 1 - first, count))
         if begin >= stop:

@@ -28,7 +28,7 @@ JUDGES = Header(HERE / "judges.h", (HERE, BOUNDARY_FOLDER))
 BLOCK = FORMULA_HEADER.get_constant("FORMULA_BLOCK")
 
 
-def judges_unit() -> Unit:
+def make_judges_unit() -> Unit:
     """Return the sources of the program."""
     parts = "formula.c", "robustness.c", "judges.c"
     source = "".join(f'#include "{part}"\n' for part in parts)
@@ -39,7 +39,7 @@ def judges_unit() -> Unit:
     )
 
 
-judges = compile_once(judges_unit)
+judges = compile_once(make_judges_unit)
 
 
 class Rows(FormulaRows):
@@ -63,7 +63,7 @@ class Rows(FormulaRows):
         self._time = Operation("*", (count, Constant(step)))
         self._inputs: list[tuple[str, int]] = []
 
-    def inputs(self) -> NDArray[Any]:
+    def make_inputs(self) -> NDArray[Any]:
         """Return ``judges_input``, one at least."""
         inputs = JUDGES.make_rows("judges_input", max(1, len(self._inputs)))
         for row, (kind, place) in zip(inputs, self._inputs, strict=False):
@@ -114,7 +114,7 @@ class Targets:
         return Targets(self.since[places], self.q[places], first)
 
     @classmethod
-    def of(cls, runs: Sequence[tuple[Sequence[int], Array]]) -> Targets:
+    def stack_runs(cls, runs: Sequence[tuple[Sequence[int], Array]]) -> Targets:
         """Return those of runs, of each the samples and the positions."""
         first = np.concatenate([[0], np.cumsum([len(since) for since, _ in runs])])
         since = np.concatenate([np.asarray(run, np.int64) for run, _ in runs])
@@ -153,7 +153,7 @@ class Program:
         self._reduced = np.zeros((runs, len(measures)))
         values = np.zeros((max(1, len(rows)), BLOCK))  # of one run at a time
         traced_rows, of_rows = np.array([*traced, 0], np.int32), rows.make_struct()
-        inputs = rows.inputs()
+        inputs = rows.make_inputs()
         at = JUDGES.ffi.new("double const *[]", max(1, len(rows)))
         self._referenced = own, values, traced_rows, of_rows, inputs, at
         self._pointers = [
@@ -180,16 +180,16 @@ class Program:
             )
         self._pieces = JUDGES.make_rows("judges_samples", runs)
 
-    def begin(self) -> None:
+    def begin_runs(self) -> None:
         """Begin all runs."""
         self._calls.judges_begin(self._structs, len(self._pieces))
 
     def go_on(self, taken: int) -> None:
         """Continue a run of which so many samples were taken elsewhere; of rows alone."""
-        self.begin()
+        self.begin_runs()
         self._structs[0].taken = taken
 
-    def take(
+    def take_samples(
         self, samples: Array, counts: NDArray[np.int64], targets: Targets | None = None
     ) -> None:
         """Go on with samples (runs, S, room), of which there are so many (runs,)."""
@@ -205,7 +205,7 @@ class Program:
         if self._calls.judges_take(self._structs, runs, pointers):
             raise MemoryError("no memory for a requirement")
 
-    def end(self) -> tuple[Array, Array]:
+    def end_runs(self) -> tuple[Array, Array]:
         """Return robustness (runs, requirements) and measures (runs, measures), as copies."""
         places = c_pointer(self._robustness), c_pointer(self._reduced)
         self._calls.judges_end(self._structs, len(self._pieces), *places)

@@ -50,7 +50,7 @@ class Robustness:
         self._where, self._quantity = where, quantity
         self._row_of = row_of
         self._nodes: list[tuple[int, int, int, int, int]] = []
-        self._add(formula)
+        self._append_formula(formula)
         rows = ROBUSTNESS.make_rows("robustness_node", len(self._nodes))
         for row, (kind, left, right, begin, end) in zip(rows, self._nodes, strict=True):
             row["kind"], row["left"], row["right"] = kind, left, right
@@ -67,7 +67,9 @@ class Robustness:
         if pointer:
             self._calls.robustness_delete(pointer)
 
-    def _put(self, name: str, left: int, right: int = 0, begin: int = 0, end: int = 0) -> int:
+    def _append_node(
+        self, name: str, left: int, right: int = 0, begin: int = 0, end: int = 0
+    ) -> int:
         if len(self._nodes) >= MAX_NODES:
             rule = f"have at most {MAX_NODES} operators"
             raise Refusal(self._where, self._quantity, rule, "more")
@@ -75,34 +77,38 @@ class Robustness:
         self._nodes.append((kind, left, right, begin, end))
         return len(self._nodes) - 1
 
-    def _add(self, formula: Formula) -> int:
+    def _append_formula(self, formula: Formula) -> int:
         """Append a formula's nodes, children first; return the last one's place."""
         if is_at_one_instant(formula):
-            return self._put("atom", self._row_of(formula))
+            return self._append_node("atom", self._row_of(formula))
         if isinstance(formula, Combined):
-            first = self._add(formula.of[0])
+            first = self._append_formula(formula.of[0])
             if formula.sign == "not":
-                return self._put("not", first)
+                return self._append_node("not", first)
             for operand in formula.of[1:]:
-                first = self._put(formula.sign, first, self._add(operand))
+                first = self._append_node(formula.sign, first, self._append_formula(operand))
             return first
         assert isinstance(formula, Window)
-        begin, end = self._samples(formula)
+        begin, end = self._find_samples(formula)
         if formula.sign != "until":
-            return self._put(formula.sign, self._add(formula.of[0]), 0, begin, end)
-        return self._until(formula, begin, end)
+            return self._append_node(
+                formula.sign, self._append_formula(formula.of[0]), 0, begin, end
+            )
+        return self._append_until(formula, begin, end)
 
-    def _until(self, window: Window, begin: int, end: int) -> int:
+    def _append_until(self, window: Window, begin: int, end: int) -> int:
         """Append an until; one that begins later is: always before, and from there an until."""
         rest = _FOREVER if end == _FOREVER else end - begin
-        until = self._put("until", self._add(window.of[0]), self._add(window.of[1]), 0, rest)
+        until = self._append_node(
+            "until", self._append_formula(window.of[0]), self._append_formula(window.of[1]), 0, rest
+        )
         if begin == 0:
             return until
-        later = self._put("eventually", until, 0, begin, begin)
-        before = self._put("always", self._add(window.of[0]), 0, 0, begin - 1)
-        return self._put("and", before, later)
+        later = self._append_node("eventually", until, 0, begin, begin)
+        before = self._append_node("always", self._append_formula(window.of[0]), 0, 0, begin - 1)
+        return self._append_node("and", before, later)
 
-    def _samples(self, window: Window) -> tuple[int, int]:
+    def _find_samples(self, window: Window) -> tuple[int, int]:
         begin = math.ceil(min(window.begin / self._period, 2.0**53) - _ROUNDING)
         last = min(window.end / self._period, 2.0**53)
         end = math.floor(last + _ROUNDING)

@@ -130,7 +130,7 @@ class _Tries:
         key = repr((sorted(case.values.items()), sorted(case.without), case.seconds))
         if key not in self._cache:
             self.runs += 1
-            self._cache[key] = dict(self._simulator.run(case).robustness)
+            self._cache[key] = dict(self._simulator.simulate_run(case).robustness)
         return self._cache[key]
 
     def find_shortest(self, case: Case, requirement: str) -> Case:

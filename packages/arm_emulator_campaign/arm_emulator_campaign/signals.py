@@ -41,7 +41,7 @@ SAMPLER = Header(HERE / "sampler.h", (BOUNDARY_FOLDER, FLEET_FOLDER))
 _KINDS = {"f8": "DOUBLE", "i8": "INT64", "u4": "UINT32"}
 
 
-def sampler_unit() -> Unit:
+def make_sampler_unit() -> Unit:
     """Return the sources of the sampler."""
     part = "sampler.c"
     source, about = f'#include "{part}"\n', "the samples of campaigns"
@@ -49,7 +49,7 @@ def sampler_unit() -> Unit:
     return Unit("sampler", source, C_FLAGS, folders, (SAMPLER,), "campaign", about, part)
 
 
-_sampler = compile_once(sampler_unit)
+_sampler = compile_once(make_sampler_unit)
 
 
 def list_signal_units(scene: Scene) -> dict[str, str]:
@@ -101,7 +101,9 @@ class Samples:
         self._taken = np.zeros(arms, np.int64)
         self.calls = _sampler()
 
-    def sampler(self, rows: Mapping[str, NDArray[Any]] | NDArray[np.void], **more: Any) -> CData:
+    def make_sampler(
+        self, rows: Mapping[str, NDArray[Any]] | NDArray[np.void], **more: Any
+    ) -> CData:
         """Return the struct of a sampler that reads from rows, one of each machine."""
         self._numbers = SAMPLER.make_rows("sampler_number", max(1, len(self._columns)))
         for number, (row, column) in zip(self._numbers, self._columns.items(), strict=False):
@@ -128,11 +130,11 @@ class Samples:
             rows = (dict(zip(names, map(float, row), strict=True)) for row in numbers)
             self._chains = [ToolChain(self._scene, row) for row in rows]
 
-    def forget(self) -> None:
+    def forget_samples(self) -> None:
         """Forget the samples so far."""
         self._taken[:] = 0
 
-    def take(self) -> tuple[Array, NDArray[np.int64]]:
+    def take_samples(self) -> tuple[Array, NDArray[np.int64]]:
         """Return samples (arms, S, room), and how many have come since the last call (arms,)."""
         counts = self._taken.copy()
         self._taken[:] = 0
@@ -163,7 +165,7 @@ class Sampler(Samples):
         self._at = make_truth(**{
             name: rows["energy"] if name == "energy" else rows[name][0] for name in self.truth
         })  # fmt: skip
-        self._sampler = self.sampler(
+        self._sampler = self.make_sampler(
             rows,
             measure=plant.core.arm_measure if self.measures else C_NULL,
             get_truth=plant.core.arm_get_truth,
@@ -171,20 +173,20 @@ class Sampler(Samples):
             truth=self._at,
         )
 
-    def begin(self) -> None:
+    def begin_sampling(self) -> None:
         """Take the first sample of a run, and one at each tick from now on."""
-        self.forget()
+        self.forget_samples()
         plant = self._plant
         self.calls.sampler_take(self._sampler, plant.machine)
         plant.core.arm_listen(plant.machine, self.calls.sampler_take, self._sampler)
 
-    def end(self) -> None:
+    def end_sampling(self) -> None:
         """End sampling."""
         self._plant.core.arm_listen(self._plant.machine, C_NULL, C_NULL)
 
     @property
     def left(self) -> int:
-        """Room for samples before `take`."""
+        """Room for samples before `take_samples`."""
         return self.room - int(self._taken[0])
 
 
@@ -216,7 +218,7 @@ class FleetSampler(Samples):
             **{STATE_NAMES_IN_C.get(name, name): rows for name, rows in truth.items()},
         )
         self._keeps = place, truth
-        self.with_ = self.sampler(
+        self.with_ = self.make_sampler(
             place.arrays | truth,
             show=fleet.core.arm_fleet_step,
             fleet=fleet.handle,

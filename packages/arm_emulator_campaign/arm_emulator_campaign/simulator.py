@@ -52,12 +52,12 @@ class Simulator:
         self._scene, self._tuned = campaign.scene, servo
         self._parameters = {number.name for number in campaign.scene.varied}
         self._sensed = campaign.scene.has_sensor_errors
-        self._run = self._coupled(scenario, servo)
+        self._run = self._make_run(scenario, servo)
         self.session = self._run.session
         self._fresh = self.session.plant.save()
         self._sampler = Sampler(self.session.plant, self._evaluators.samples, ROOM)
 
-    def _coupled(self, scenario: Scenario, servo: ServoConfig) -> OfflineRun | TableRun:
+    def _make_run(self, scenario: Scenario, servo: ServoConfig) -> OfflineRun | TableRun:
         """Return machine and controller of the scenario."""
         if scenario.moves:
             return OfflineRun(self._scene, servo, self._campaign.motion)
@@ -67,7 +67,7 @@ class Simulator:
         table = TargetTable(np.zeros(1), self._scene.start[None])
         return TableRun(self._scene, table, ServoStep(self._drives, place))
 
-    def run(self, which: int | Case) -> Outcome:
+    def simulate_run(self, which: int | Case) -> Outcome:
         """Simulate one run and judge it.
 
         Args:
@@ -77,33 +77,33 @@ class Simulator:
             Refusal: values of this run that are out of range.
         """
         case = draw_case(self._campaign.variation, which) if isinstance(which, int) else which
-        return Outcome.of(self._campaign, case, self._judge(case))
+        return Outcome.of(self._campaign, case, self._judge_run(case))
 
-    def runs(self, cases: Cases) -> Iterator[Outcomes]:
-        """Simulate runs one after the other, see `BatchSimulator.runs`."""
-        return map(self._judge, cases)
+    def simulate_runs(self, cases: Cases) -> Iterator[Outcomes]:
+        """Simulate runs one after the other, see `BatchSimulator.simulate_runs`."""
+        return map(self._judge_run, cases)
 
-    def _judge(self, case: Case) -> Outcomes:
-        self._begin(case)
+    def _judge_run(self, case: Case) -> Outcomes:
+        self._begin_run(case)
         sampler, evaluators = self._sampler, self._evaluators
-        evaluators.begin()
-        sampler.begin()
+        evaluators.begin_runs()
+        sampler.begin_sampling()
         diverged = math.nan
         try:
-            for _ in self._pieces():
+            for _ in self._advance_in_pieces():
                 if sampler.left < 1:
-                    evaluators.take(*sampler.take(), self._targets)
-            evaluators.take(*sampler.take(), self._targets)
+                    evaluators.take_samples(*sampler.take_samples(), self._targets)
+            evaluators.take_samples(*sampler.take_samples(), self._targets)
         except Diverged as fault:
             diverged = fault.t
-            sampler.forget()
+            sampler.forget_samples()
         finally:
-            sampler.end()
-        robustness, measures = evaluators.end(np.isfinite([diverged]))
+            sampler.end_sampling()
+        robustness, measures = evaluators.end_runs(np.isfinite([diverged]))
         values = np.array([list(case.values.values())], np.float64)
         return Outcomes(np.array([case.index]), values, robustness, measures, np.array([diverged]))
 
-    def drive(
+    def drive_run(
         self,
         case: Case,
         max_ticks: int = MAX_TICKS,
@@ -119,18 +119,18 @@ class Simulator:
         Yields:
             Ticks done so far, 0 first.
         """
-        self._begin(case)
+        self._begin_run(case)
         yield 0
-        yield from self._pieces(max_ticks, changed)
+        yield from self._advance_in_pieces(max_ticks, changed)
 
     # ------------------------------------------------------------------------------------- a run
 
-    def _begin(self, case: Case) -> None:
+    def _begin_run(self, case: Case) -> None:
         """Set machine and controller to the start of a run."""
         campaign, session, values = self._campaign, self.session, case.values
         try:
             self._scenario, servo, self._events, self._last = bind_case(campaign, case)
-            self._restart(servo)
+            self._restart_controller(servo)
             for name, value in values.items():
                 if name in self._parameters:
                     session.plant.set_parameter(name, value)
@@ -142,13 +142,13 @@ class Simulator:
         self._place_joints()
         session.plant.reset(self._scenario.start)
         if isinstance(self._run, OfflineRun):
-            self._send(self._run)
+            self._send_moves(self._run)
 
     def _place_joints(self) -> None:
         """Let the tool be where the joints stand by this run's numbers."""
         self._sampler.place_joints(np.array([[*self.session.plant.parameters.values()]]))
 
-    def _restart(self, servo: ServoConfig) -> None:
+    def _restart_controller(self, servo: ServoConfig) -> None:
         drives = self._run.drives if isinstance(self._run, OfflineRun) else self._drives
         if servo is not self._tuned:
             drives.set_config(servo)
@@ -161,7 +161,7 @@ class Simulator:
         drives.reset()
         self._run.restart(self._fresh, table)
 
-    def _send(self, run: OfflineRun) -> None:
+    def _send_moves(self, run: OfflineRun) -> None:
         """Give the motion controller all moves of the tool, each at its time."""
         R_WT, p_WT = run.controller.kinematics.forward(self._scenario.start)
         for move in self._scenario.moves:
@@ -172,7 +172,7 @@ class Simulator:
             else:
                 run.instructor.add(at, Pose(points[0], R_WT))
 
-    def _pieces(
+    def _advance_in_pieces(
         self, max_ticks: int = MAX_TICKS, changed: Callable[[Change], None] | None = None
     ) -> Iterator[int]:
         """Run to the end, piece by piece between events; yield ticks done."""
@@ -210,8 +210,8 @@ class Simulator:
         """The joint targets so far, with the tick from which on each holds."""
         if isinstance(self._run, OfflineRun):
             since, rows = zip(*self._aimed, strict=True)
-            return Targets.of([(since, np.array(rows))])
-        return Targets.of([(self._table.compute_ticks(self._scene.servo_period), self._table.q)])
+            return Targets.stack_runs([(since, np.array(rows))])
+        return Targets.stack_runs([(self._table.compute_ticks(self._scene.servo_period), self._table.q)])
 
 
 def _place_points(move: Move, p_WT: Array) -> Array:

@@ -63,7 +63,7 @@ class VibrationRequirement:
         self._joints = len(joints)
         self.names = [f"{name}.{joint}" for name in (read, "target") for joint in joints]
 
-    def judge(self, trace: Sequence[Array]) -> float:
+    def judge_trace(self, trace: Sequence[Array]) -> float:
         """Return the margin for pieces (names, n) of a run; -inf where it ends too early."""
         rows = np.concatenate(trace, axis=1)
         read, targets = rows[: self._joints], rows[self._joints :]

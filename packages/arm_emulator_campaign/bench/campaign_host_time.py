@@ -91,12 +91,12 @@ def measure(file: Path, device: str | None, count: int, repetitions: int) -> dic
 
     def begin_all() -> None:
         for first in range(0, count, width):
-            simulator.begin(bound, first, min(first + width, count))
+            simulator.begin_runs(bound, first, min(first + width, count))
 
     times["begin"], _ = find_least(begin_all, repetitions)
     few = cases[: max(width, count // 8)]
     share = count / len(few)
-    all_of_it, outcomes = find_least(lambda: [*simulator.runs(few)], repetitions)
+    all_of_it, outcomes = find_least(lambda: [*simulator.simulate_runs(few)], repetitions)
     times["run"] = all_of_it * share - times["bind"] - times["begin"]
     every = [*outcomes] * math.ceil(share)
     with tempfile.TemporaryDirectory() as folder:

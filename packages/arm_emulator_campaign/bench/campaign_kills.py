@@ -187,7 +187,7 @@ def digest_runs(file: Path, folder: Path) -> str:
     campaign = load_campaign(file)
     simulator, results = make_simulator(campaign), Results(folder, campaign)
     cases = draw_cases(campaign.variation, range(campaign.count))
-    write_part(folder, campaign, Outcomes.join(list(simulator.runs(cases))))
+    write_part(folder, campaign, Outcomes.join(list(simulator.simulate_runs(cases))))
     return compute_digest(results.columns())
 
 

@@ -168,7 +168,7 @@ def test_the_first_run_that_is_refused_alone_is_named(
     cases = draw_cases(campaign.variation, range(200))
     simulator = BatchSimulator(campaign)
     with pytest.raises(Refusal, match=rf"c.yaml, run \d+: .*{reason}") as no:
-        for outcomes in simulator.runs(cases):
+        for outcomes in simulator.simulate_runs(cases):
             last = int(outcomes.indices[-1])
     refused = int(str(no.value).partition("run ")[2].partition(":")[0])
     assert refused > 0 and last == refused - 1

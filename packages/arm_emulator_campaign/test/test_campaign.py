@@ -92,10 +92,10 @@ def changed(data, path, value):
 def test_a_run_is_a_function_of_its_index(tmp_path, data):
     definition = load_campaign(written(tmp_path, data))
     first = Simulator(definition)
-    runs = {index: first.run(index) for index in (0, 1, 2, 7)}
+    runs = {index: first.simulate_run(index) for index in (0, 1, 2, 7)}
     another = Simulator(load_campaign(definition.file))
     for index in (7, 2, 0, 2, 1):
-        assert another.run(index) == runs[index]
+        assert another.simulate_run(index) == runs[index]
     assert len({tuple(run.robustness.values()) for run in runs.values()}) == 4
 
 
@@ -107,16 +107,16 @@ def test_noise_differs_from_run_to_run_and_repeats(tmp_path):
     data = changed(data, "faults", {"cut": TABLE["faults"]["cut"]})
     definition = load_campaign(written(tmp_path, data))
     first, second = Simulator(definition), Simulator(definition)
-    currents = [first.run(index).measures["current"] for index in (0, 1, 2)]
+    currents = [first.simulate_run(index).measures["current"] for index in (0, 1, 2)]
     assert len(set(currents)) == 3
-    assert [second.run(index).measures["current"] for index in (2, 1, 0)] == currents[::-1]
+    assert [second.simulate_run(index).measures["current"] for index in (2, 1, 0)] == currents[::-1]
 
 
 def test_faults_are_exact_to_the_tick(tmp_path):
     # The same by hand: orders to the session between ticks.
     data = changed(changed(TABLE, "vary", None), "requirements", {"q": "always q.elbow < 9"})
     data = changed(data, "measures", {f"{name}": f"last({name}.elbow)" for name in ("q", "v")})
-    measures = Simulator(load_campaign(written(tmp_path, data))).run(0).measures
+    measures = Simulator(load_campaign(written(tmp_path, data))).simulate_run(0).measures
     machine = {"payload": 1.0, "varied": ["payload.mass"], "external_wrench": True}
     scene, servo = load_scene("three_axis", machine), load_gains("three_axis").servo
     q = scene.start.copy()
@@ -147,7 +147,7 @@ def test_measures_and_functions_of_python_get_the_full_trace(tmp_path):
     })  # fmt: skip
     data = changed(data, "measures", {"error": "max(abs(error.elbow))", "t": "last(t)"})
     data = changed(data, "scenario/seconds", 5.0)  # more samples than are taken at once
-    outcome = Simulator(load_campaign(written(tmp_path, data))).run(3)
+    outcome = Simulator(load_campaign(written(tmp_path, data))).simulate_run(3)
     margin = 0.5 - outcome.measures["error"]
     assert outcome.robustness == {"python": margin + 5001, "formula": margin}
     assert outcome.measures["t"] == 5.0
@@ -164,7 +164,7 @@ def test_a_function_that_returns_no_margin_is_named(tmp_path):
     def judged(name):
         data = {"p": {"python": f"checks.py:{name}", "signals": ["q.elbow"]}}
         section = Section(data, "c.yaml").require_section("p")
-        return PythonRequirement(section, ["q.elbow"], tmp_path).judge(trace)
+        return PythonRequirement(section, ["q.elbow"], tmp_path).judge_trace(trace)
 
     assert judged("right") == 1.0
     for k, text in enumerate(wrong):
@@ -178,7 +178,7 @@ def test_a_run_that_diverges_fails_everything(tmp_path):
     data = changed(TABLE, "vary", {"joints.elbow.gear.stiffness": "choice(1e4, 1e9)"})
     data = changed(changed(data, "faults", None), "set", {"integrator.scheme": "paper"})
     simulator = Simulator(load_campaign(written(tmp_path, data)))
-    runs = [simulator.run(index) for index in range(12)]
+    runs = [simulator.simulate_run(index) for index in range(12)]
     for run in runs:
         stiff = run.values["joints.elbow.gear.stiffness"] > 1e5
         assert math.isfinite(run.diverged) == stiff, run
@@ -261,7 +261,7 @@ def test_values_out_of_range_name_the_run(tmp_path):
     simulator = Simulator(load_campaign(written(tmp_path, data)))
     with pytest.raises(Refusal, match=r"c.yaml, run \d+: payload.mass must be a number >= 0 kg"):
         for index in range(20):
-            simulator.run(index)
+            simulator.simulate_run(index)
 
 
 # ----------------------------------------------------------------------------- workers and results
@@ -274,7 +274,7 @@ def digest_alone(file, count=None):
     order = np.random.default_rng(3).permutation(count or definition.count)
     for part in np.array_split(order, 7):
         cases = draw_cases(definition.variation, np.sort(part))
-        write_part(results.folder, definition, Outcomes.join(list(runs.runs(cases))))
+        write_part(results.folder, definition, Outcomes.join(list(runs.simulate_runs(cases))))
     return compute_digest(results.columns()), results.columns()
 
 
@@ -320,7 +320,7 @@ def test_damaged_parts_are_set_aside_and_their_runs_simulated_again(tmp_path, ca
     results, runs = Results(tmp_path / "alone", definition), make_simulator(definition)
     foreign = write_part(
         Results(tmp_path / "other", reseeded).folder, reseeded,
-        Outcomes.join(list(make_simulator(reseeded).runs(draw_cases(reseeded.variation, [3])))),
+        Outcomes.join(list(make_simulator(reseeded).simulate_runs(draw_cases(reseeded.variation, [3])))),
     )  # fmt: skip
     for round_ in range(60 if FULL else 8):
         some = results.parts[int(rng.integers(len(results.parts)))]
@@ -344,7 +344,7 @@ def test_damaged_parts_are_set_aside_and_their_runs_simulated_again(tmp_path, ca
         ).exists()
         for first, end in missing:
             cases = draw_cases(definition.variation, range(first, end))
-            write_part(results.folder, definition, Outcomes.join(list(runs.runs(cases))))
+            write_part(results.folder, definition, Outcomes.join(list(runs.simulate_runs(cases))))
         assert not results.missing(70) and compute_digest(results.columns()) == digest
     assert list((tmp_path / "alone" / "set_aside").iterdir()), "they are kept"
 
@@ -407,7 +407,7 @@ def test_a_run_is_driven_again_to_the_last_bit(tmp_path):
     file, record = written(tmp_path, TABLE), tmp_path / "r.parquet"
     definition = load_campaign(file)
     beside = draw_cases(definition.variation, range(20))
-    rows = Outcomes.join(list(make_simulator(definition).runs(beside)))
+    rows = Outcomes.join(list(make_simulator(definition).simulate_runs(beside)))
     outputs = RunOutputs(record=record)
     code = campaign(file, replay=17, outputs=outputs)
     facts = json.loads(json.dumps(convert_to_plain(output.collected)))

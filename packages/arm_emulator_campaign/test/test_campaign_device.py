@@ -26,13 +26,13 @@ def test_runs_on_a_device_equal_those_in_lanes(
 ) -> None:
     campaign = campaign_of(tmp_path, VARIED[name])
     lanes, count = BatchSimulator(campaign), WIDTH + 5
-    expected = rows_of(Outcomes.join(list(lanes.runs(cases_of(campaign, range(count))))))
+    expected = rows_of(Outcomes.join(list(lanes.simulate_runs(cases_of(campaign, range(count))))))
     assert len(np.unique(expected, axis=0)) == count
     for width in (count, 7):  # 7: further batches, and a thread whose second arm is nobody
         monkeypatch.setattr(batch_simulator, "LARGEST_WIDTH", width)
         there = make_simulator(campaign, "processor")
         assert there.width == width
-        rows = rows_of(Outcomes.join(list(there.runs(cases_of(campaign, range(count))))))
+        rows = rows_of(Outcomes.join(list(there.simulate_runs(cases_of(campaign, range(count))))))
         assert np.array_equal(rows, expected, equal_nan=True)
 
 
@@ -47,7 +47,7 @@ def test_workers_with_a_device_each_write_the_results_of_lanes(tmp_path: Path) -
     assert compute_digest(columns) == digest_alone(campaign.file)[0], "that of lanes"
     # A run that fails is repeated in lanes, as `--replay` does.
     failed = int(np.flatnonzero(columns["failed"])[-1])
-    again = make_simulator(campaign).run(*cases_of(campaign, [failed]))
+    again = make_simulator(campaign).simulate_run(*cases_of(campaign, [failed]))
     for kind, values in (("robustness", again.robustness), ("measure", again.measures)):
         for key, value in values.items():
             assert columns[f"{kind}.{key}"][failed] == value

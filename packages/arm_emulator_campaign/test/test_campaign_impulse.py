@@ -32,10 +32,10 @@ def changed_speed(campaign: Campaign) -> tuple[np.ndarray, Simulator]:
     """Return by how much the blow has changed the speeds of the links when contact ends."""
     simulator = Simulator(campaign)
     session, case = simulator.session, draw_case(campaign.variation, 0)
-    states = [(session.tick, session.state.v.copy()) for _ in simulator.drive(case)]
+    states = [(session.tick, session.state.v.copy()) for _ in simulator.drive_run(case)]
     ends, v = states[2]  # after start and begin of the contact
     sound = Simulator(campaign)
-    for _ in sound.drive(Case(0, {}, 0.0, frozenset({"hit"}), ends * 1e-3)):
+    for _ in sound.drive_run(Case(0, {}, 0.0, frozenset({"hit"}), ends * 1e-3)):
         pass
     assert sound.session.tick == ends
     return v - sound.session.state.v, sound

@@ -101,16 +101,16 @@ def test_each_run_equals_its_single_run_whatever_is_beside_it(tmp_path: Path, na
     runs, alone = make_simulator(campaign), Simulator(campaign)
     assert isinstance(runs, BatchSimulator)
     count = WIDTH + 5
-    all_rows = rows_of(Outcomes.join(list(runs.runs(cases_of(campaign, range(count))))))
+    all_rows = rows_of(Outcomes.join(list(runs.simulate_runs(cases_of(campaign, range(count))))))
     assert len(np.unique(all_rows, axis=0)) == count
     for index in some(range(count), 6):
-        outcome = alone.run(index)
+        outcome = alone.simulate_run(index)
         single = [*outcome.robustness.values(), *outcome.measures.values(), outcome.diverged]
         np.testing.assert_array_equal(all_rows[index], single, err_msg=f"run {index}")
     order = np.random.default_rng(1).permutation(count)
-    again = rows_of(Outcomes.join(list(runs.runs(cases_of(campaign, order)))))
+    again = rows_of(Outcomes.join(list(runs.simulate_runs(cases_of(campaign, order)))))
     assert np.array_equal(again, all_rows[order], equal_nan=True)
-    few = rows_of(next(runs.runs(cases_of(campaign, order[:3]))))
+    few = rows_of(next(runs.simulate_runs(cases_of(campaign, order[:3]))))
     assert np.array_equal(few, all_rows[order[:3]], equal_nan=True)
 
 
@@ -125,9 +125,9 @@ def test_arms_that_stick_and_varied_gains_alike(tmp_path: Path) -> None:
     data["vary"] |= {"joints.*.friction.coulomb": "uniform(0.5, 4)"}
     campaign = load_campaign(written(tmp_path, data))
     runs, alone = make_simulator(campaign), Simulator(campaign)
-    all_rows = rows_of(next(runs.runs(cases_of(campaign, range(12)))))
+    all_rows = rows_of(next(runs.simulate_runs(cases_of(campaign, range(12)))))
     for index in (0, 5, 11):
-        outcome = alone.run(index)
+        outcome = alone.simulate_run(index)
         single = [*outcome.robustness.values(), *outcome.measures.values(), outcome.diverged]
         np.testing.assert_array_equal(all_rows[index], single, err_msg=f"run {index}")
 
@@ -137,10 +137,10 @@ def test_a_run_that_diverges_does_not_disturb_the_others(tmp_path: Path) -> None
     data = changed(TABLE, "vary", {"joints.elbow.gear.stiffness": "choice(1e4, 1e9)"})
     data = changed(changed(data, "faults", None), "set", {"integrator.scheme": "paper"})
     campaign = load_campaign(written(tmp_path, data))
-    (outcomes,) = make_simulator(campaign).runs(cases_of(campaign, range(12)))
+    (outcomes,) = make_simulator(campaign).simulate_runs(cases_of(campaign, range(12)))
     alone = Simulator(campaign)
     for index, diverged in enumerate(outcomes.diverged):
-        outcome = alone.run(index)
+        outcome = alone.simulate_run(index)
         assert outcome.has_failed == outcomes.failed[index]
         assert np.array_equal(outcome.diverged, diverged, equal_nan=True)
         rest = [*outcome.robustness.values()]
@@ -154,7 +154,7 @@ def test_a_run_that_is_refused_leaves_those_before_it(tmp_path: Path) -> None:
     outcomes: list[Outcomes] = []
     reason = r"c.yaml, run \d+: payload.mass must be a number >= 0 kg"
     with pytest.raises(Refusal, match=reason) as no:
-        for run in make_simulator(campaign).runs(cases_of(campaign, range(200))):
+        for run in make_simulator(campaign).simulate_runs(cases_of(campaign, range(200))):
             outcomes.append(run)
     refused = int(str(no.value).partition("run ")[2].partition(":")[0])
     assert [*Outcomes.join(outcomes).indices] == list(range(refused)) and refused > 0
@@ -164,8 +164,8 @@ def test_the_motion_controller_leads_runs_in_sequence(tmp_path: Path) -> None:
     campaign = load_campaign(written(tmp_path, MOVES))
     runs = make_simulator(campaign)
     assert isinstance(runs, Simulator)
-    (outcomes,) = runs.runs(cases_of(campaign, [3]))
-    assert outcomes.robustness[0, 0] == runs.run(3).robustness["near"]
+    (outcomes,) = runs.simulate_runs(cases_of(campaign, [3]))
+    assert outcomes.robustness[0, 0] == runs.simulate_run(3).robustness["near"]
 
 
 # ----------------------------------------------------------------------------- the fleet by itself

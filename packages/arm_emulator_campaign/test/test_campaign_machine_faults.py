@@ -40,14 +40,14 @@ def test_a_fault_of_the_machine_begins_ends_and_varies(tmp_path: Path) -> None:
     per_rad = 1.0 / session.plant.link_angle_per_count[j] * session.scene.gear_ratios[j]
     for index in (3, 4):
         case = draw_case(campaign.variation, index)
-        ticks = [session.tick for _ in simulator.drive(case)]
+        ticks = [session.tick for _ in simulator.drive_run(case)]
         assert ticks[-1] == round(0.2 / session.scene.servo_period)
         assert session.plant.parameters["faults.elbow.encoder_slips"] == 0.0
-        magnitude = simulator.run(case).values["faults.slip.magnitude"]
+        magnitude = simulator.simulate_run(case).values["faults.slip.magnitude"]
         during = [
             (session.plant.parameters["faults.elbow.encoder_slips"],
              float(session.measured.encoder_counts[j] - session.state.theta_m[j] * per_rad))
-            for _ in simulator.drive(case)
+            for _ in simulator.drive_run(case)
         ]  # fmt: skip
         on = [off for size, off in during if size == magnitude]
         assert on and {size for size, _ in during} == {0.0, magnitude}

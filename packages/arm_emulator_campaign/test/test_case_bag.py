@@ -48,7 +48,7 @@ def test_a_run_is_repeated_from_its_bag_alone(tmp_path: Path, name: str) -> None
         assert comparison.tally.changes >= len(simulator._campaign.nominal[1]), (
             "the faults are in it"
         )
-        simulator.run(case)  # as in the campaign: many ticks at a time
+        simulator.simulate_run(case)  # as in the campaign: many ticks at a time
         *_, (_, last) = RecordedTopics(Bag(bag)).read_messages("emulator/joint_states")
         assert list(last.position) == simulator.session.state.q.tolist()
         assert list(last.effort) == simulator.session.state.gear_torque.tolist()

@@ -53,7 +53,7 @@ def make_program(
 
 def judge(program: Program, samples: np.ndarray, counts: np.ndarray, targets: Targets) -> Any:
     """Return robustness and measures of runs (runs, S, samples), fed in pieces."""
-    program.begin()
+    program.begin_runs()
     for first in range(0, samples.shape[2], ROOM):
         piece = np.zeros((*samples.shape[:2], ROOM))
         fresh = samples[:, :, first : first + ROOM]
@@ -63,8 +63,8 @@ def judge(program: Program, samples: np.ndarray, counts: np.ndarray, targets: Ta
             device = program.device
             here = device.allocate(piece.nbytes)
             device.write(here, piece)
-        program.take(here, np.clip(counts - first, 0, ROOM), targets)
-    return program.end()
+        program.take_samples(here, np.clip(counts - first, 0, ROOM), targets)
+    return program.end_runs()
 
 
 def draw_targets(rng: np.random.Generator, runs: int, longest: int) -> Targets:
@@ -72,7 +72,7 @@ def draw_targets(rng: np.random.Generator, runs: int, longest: int) -> Targets:
     for _ in range(runs):
         since = [0, *np.unique(rng.integers(1, longest + 1, 4)).tolist()]
         every.append((since, rng.normal(size=(len(since), 1))))
-    return Targets.of(every)
+    return Targets.stack_runs(every)
 
 
 @pytest.mark.parametrize("seed", some(range(60), 12))
@@ -86,7 +86,7 @@ def test_a_device_judges_runs_of_any_length_as_the_processor(seed: int) -> None:
     there, _ = make_program(texts, longest, 1, DeviceProgram)
     assert isinstance(there, DeviceProgram) and set(names) <= set(NAMES)
     there.measure_run(longest)
-    there.move(ProcessorDevice(2), longest)
+    there.move_runs(ProcessorDevice(2), longest)
     for _ in range(2):  # the next runs begin anew
         counts = rng.permutation(np.arange(1, longest + 1))
         samples = np.round(rng.normal(size=(longest, len(names), longest)) * 4.0) / 4.0
@@ -105,7 +105,7 @@ def test_a_run_that_is_longer_than_stated_is_an_error_and_no_wrong_number() -> N
     program, _ = make_program(text, BLOCK, 1, DeviceProgram)
     assert isinstance(program, DeviceProgram)
     program.measure_run(BLOCK)
-    program.move(ProcessorDevice(1), 2)
+    program.move_runs(ProcessorDevice(1), 2)
     samples, targets = np.ones((2, 1, 8 * BLOCK)), draw_targets(np.random.default_rng(1), 2, 9)
     with pytest.raises(MemoryError):
         judge(program, samples, np.full(2, 8 * BLOCK), targets)
@@ -143,16 +143,18 @@ def test_runs_judged_on_a_device_equal_those_in_lanes(
 ) -> None:
     campaign, count = load(tmp_path, name), 23
     expected = rows_of(
-        Outcomes.join(list(BatchSimulator(campaign).runs(cases_of(campaign, range(count)))))
+        Outcomes.join(
+            list(BatchSimulator(campaign).simulate_runs(cases_of(campaign, range(count))))
+        )
     )
     assert len(np.unique(expected, axis=0)) == count
     pieces = []
-    take = DeviceProgram.take
+    take = DeviceProgram.take_samples
     monkeypatch.setattr(
         DeviceProgram, "take", lambda self, *piece: pieces.append(piece) or take(self, *piece)
     )
     there = make_simulator(campaign, "processor")
-    rows = rows_of(Outcomes.join(list(there.runs(cases_of(campaign, range(count))))))
+    rows = rows_of(Outcomes.join(list(there.simulate_runs(cases_of(campaign, range(count))))))
     assert np.array_equal(rows, expected, equal_nan=True)
     assert pieces, "judged there, not from copies of samples"
 
@@ -160,7 +162,7 @@ def test_runs_judged_on_a_device_equal_those_in_lanes(
 def test_requirements_for_the_processor_alone_are_judged_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(DeviceProgram, "take", None)
+    monkeypatch.setattr(DeviceProgram, "take_samples", None)
     changes: list[dict[str, Any]] = [
         {"measures": {"tool": "max(tool.z)"}},
         {"vary": {"scenario.seconds": "uniform(0.05, 0.3)"}},
@@ -169,7 +171,7 @@ def test_requirements_for_the_processor_alone_are_judged_there(
         campaign = load_campaign(written(tmp_path, TABLE | REQUIREMENTS | change))
         lanes, there = (make_simulator(campaign, device) for device in (None, "processor"))
         rows, expected = (
-            rows_of(Outcomes.join(list(each.runs(cases_of(campaign, range(9))))))
+            rows_of(Outcomes.join(list(each.simulate_runs(cases_of(campaign, range(9))))))
             for each in (there, lanes)
         )
         assert np.array_equal(rows, expected, equal_nan=True)

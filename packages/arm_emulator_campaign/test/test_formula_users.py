@@ -129,11 +129,11 @@ def by_breakpoint(texts: Sequence[str], folder: Path) -> list[bool]:
 def by_lanes(texts: Sequence[str], folder: Path) -> Verdicts:
     campaign = campaign_of(texts, folder, SAMPLED)
     case = draw_case(campaign.variation, 0)
-    return list(BatchSimulator(campaign).run(case).robustness.values())
+    return list(BatchSimulator(campaign).simulate_run(case).robustness.values())
 
 
 def by_simulator(texts: Sequence[str], folder: Path) -> Verdicts:
-    return list(Simulator(campaign_of(texts, folder, SAMPLED)).run(0).robustness.values())
+    return list(Simulator(campaign_of(texts, folder, SAMPLED)).simulate_run(0).robustness.values())
 
 
 def by_splitting(texts: Sequence[str], folder: Path) -> Verdicts:
@@ -267,7 +267,7 @@ def test_a_moving_machine_has_the_same_signals_in_conditions_and_campaigns(
         "scenario": {"seconds": 0.04, "targets": [{"at": 0.0, "elbow": 1.5}]},
     }))  # fmt: skip
     simulator = Simulator(load_campaign(file))
-    values = simulator.run(0).measures
+    values = simulator.simulate_run(0).measures
     session = simulator.session
     assert session.tick == values["tick"] == 40
     assert session.state.v.any()

@@ -123,15 +123,15 @@ class Judged:
         row_of = self.rows.add_formula
         robustness = Robustness(judges(), formula, row_of, PERIOD, longest, "c.yaml", quantity)
         self.program = Program(self.rows, [[robustness]], [], [], room or longest)
-        self.program.begin()
+        self.program.begin_runs()
 
     def feed(self, signals):
         samples = [signals[name] for name in self.rows.samples] or [*signals.values()]
-        self.program.take(np.array([samples]), np.array([len(samples[0])]))
+        self.program.take_samples(np.array([samples]), np.array([len(samples[0])]))
 
     def end(self):
-        value = float(self.program.end()[0][0, 0])
-        self.program.begin()
+        value = float(self.program.end_runs()[0][0, 0])
+        self.program.begin_runs()
         return value
 
 
@@ -246,13 +246,13 @@ def test_stars_stand_for_all_joints():
     formula = bind_signals(formula, signal_names, "c", "r")
     requirement = Robustness(judges(), formula, rows.add_formula, PERIOD, 3)
     program = Program(rows, [[requirement]], [], [], 3)
-    program.begin()
+    program.begin_runs()
     positions = {"q.elbow": 0.0, "q.waist": 0.5}
-    targets = Targets.of([([0], np.array([[0.25, -0.25]]))])
-    program.take(
+    targets = Targets.stack_runs([([0], np.array([[0.25, -0.25]]))])
+    program.take_samples(
         np.array([[[positions[name]] * 3 for name in rows.samples]]), np.array([3]), targets
     )
-    robustness, measures = program.end()
+    robustness, measures = program.end_runs()
     assert robustness.tolist() == [[0.25]] and measures.shape == (1, 0)
 
 
@@ -287,7 +287,7 @@ def test_arithmetic_of_signals_equals_numpy(seed):
     ticks = np.arange(count)
     joints = ["x", "y.z"]
     since = np.unique([0, *rng.integers(0, count, 5)])
-    targets = Targets.of([(since, rng.normal(size=(len(since), 2)))])
+    targets = Targets.stack_runs([(since, rng.normal(size=(len(since), 2)))])
     signals = {name: rng.normal(size=count) for name in ("a", "q.x", "q.y.z")}
     signals |= {"t": ticks * PERIOD, "tick": ticks.astype(float)}
     for place, joint in enumerate(joints):
@@ -301,14 +301,14 @@ def test_arithmetic_of_signals_equals_numpy(seed):
     program = Program(rows, [()], measures, traced, count)
     samples = np.array([signals[name] for name in rows.samples]).reshape(-1, count)
     for _ in range(2):  # the second run begins anew
-        program.begin()
+        program.begin_runs()
         pieces, first = [], 0
         for last in [*np.sort(rng.integers(0, count + 1, 2)), count]:
             piece = np.ascontiguousarray(samples[:, first:last])[np.newaxis]
-            program.take(piece, np.array([last - first]), targets)
+            program.take_samples(piece, np.array([last - first]), targets)
             pieces.append(program.kept[0, :, : last - first].copy())
             first = last
-        _, reduced = program.end()
+        _, reduced = program.end_runs()
         assert np.array_equal(
             np.hstack(pieces), [values for _, values in expressions], equal_nan=True
         )

@@ -229,7 +229,7 @@ def probability(campaign):
     simulator = Simulator(campaign)
 
     def margin(*z):
-        return simulator.run(place_case(campaign.variation, 0, z)).robustness["near"]
+        return simulator.simulate_run(place_case(campaign.variation, 0, z)).robustness["near"]
 
     def above(payload, sign):
         return stats.norm.sf(
@@ -255,7 +255,7 @@ def test_rare_failures_of_a_machine(tmp_path):
     for at in places:
         values = {number.name: columns[number.name][at] for number in campaign.variation.numbers}
         cases.append(make_case(campaign.variation, int(at), values))
-    (again,) = make_simulator(campaign).runs(Cases.of(cases))
+    (again,) = make_simulator(campaign).simulate_runs(Cases.stack_runs(cases))
     assert np.array_equal(again.robustness[:, 0], columns["robustness.near"][places])
 
 
@@ -273,7 +273,10 @@ def test_the_example_agrees_with_bisection_along_lines(tmp_path):
 
     def holds(z, size):
         z[force] = size
-        return simulator.run(place_case(campaign.variation, 0, z)).robustness["stays_near"] >= 0.0
+        return (
+            simulator.simulate_run(place_case(campaign.variation, 0, z)).robustness["stays_near"]
+            >= 0.0
+        )
 
     p = np.zeros(100)
     for k in range(len(p)):
@@ -416,11 +419,11 @@ def test_a_failure_is_shrunk_to_its_cause_and_written(tmp_path):
     # A period less does not fail: the machine alone, tick by tick.
     assert 0.01 < shrunk.seconds < 0.06 and shrunk.margin < 0.0 and shrunk.requirement == "near"
     shorter = replace(shrunk.case, seconds=shrunk.seconds - campaign.scene.servo_period)
-    assert Simulator(campaign).run(shorter).robustness["near"] >= 0.0
+    assert Simulator(campaign).simulate_run(shorter).robustness["near"] >= 0.0
     again = load_campaign(write_shrunk(campaign, shrunk, tmp_path / "shrunk"))
-    assert again.count == 1 and Simulator(again).run(0).robustness["near"] == pytest.approx(
-        shrunk.margin, abs=1e-9
-    )
+    assert again.count == 1 and Simulator(again).simulate_run(0).robustness[
+        "near"
+    ] == pytest.approx(shrunk.margin, abs=1e-9)
     with pytest.raises(Refusal, match="must fail"):
         shrink(campaign, draw_case(campaign.variation, 3))
 

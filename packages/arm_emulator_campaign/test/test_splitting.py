@@ -179,12 +179,12 @@ def test_a_failure_of_forks_is_a_run_whose_noise_changes_after_its_start(tmp_pat
         origin = ForkOrigin(3, (*origin.seeds, (forks.now, seed)))
     assert forks.reach(0.0)[0] and 0 < origin.seeds[1][0] < origin.seeds[2][0] < forks.now
     alone, case = Simulator(campaign), make_forked_case(campaign, origin)
-    for done in alone.drive(case, 1):
+    for done in alone.drive_run(case, 1):
         if done == forks.now:
             assert bits(alone) == bits(forks)
     minimum = forks.reach(-math.inf)[1]
-    assert alone.run(case).robustness["counts"] == pytest.approx(minimum, abs=1e-15)
-    (outcomes,) = make_simulator(campaign).runs(Cases.of([case]))
+    assert alone.simulate_run(case).robustness["counts"] == pytest.approx(minimum, abs=1e-15)
+    (outcomes,) = make_simulator(campaign).simulate_runs(Cases.stack_runs([case]))
     assert outcomes.robustness[0, 0] == pytest.approx(minimum, abs=1e-12)
 
 
@@ -198,13 +198,16 @@ def test_a_failure_is_replayed_and_shrunk_by_its_number(tmp_path):
     count = len(read_failures(results))
     simulator = Simulator(campaign)
     for k in range(0, count, max(1, count // 5)):
-        assert simulator.run(find_case(campaign, into, k, "--replay")).robustness["counts"] < 0.0
+        assert (
+            simulator.simulate_run(find_case(campaign, into, k, "--replay")).robustness["counts"]
+            < 0.0
+        )
     with pytest.raises(Refusal, match=f"be a failure of the search, got {count}"):
         find_case(campaign, into, count, "--replay")
     k = next(k for k, failure in enumerate(read_failures(results)) if len(failure.seeds) > 1)
     shrunk = shrink(campaign, find_case(campaign, into, k, "--shrink"))
     file = write_shrunk(campaign, shrunk, tmp_path / "shrunk")
-    again = Simulator(load_campaign(file)).run(0)
+    again = Simulator(load_campaign(file)).simulate_run(0)
     assert again.robustness == {"counts": pytest.approx(shrunk.margin, abs=1e-15)}
 
 

@@ -43,7 +43,7 @@ def test_tools_stand_by_the_pictured_places(tmp_path: Path, kind: Any) -> None:
     names = list(campaign.measures)
     cases = draw_cases(campaign.variation, range(6))
     apart = []
-    for outcomes in simulator.runs(cases):
+    for outcomes in simulator.simulate_runs(cases):
         for index, row in zip(outcomes.indices, outcomes.measures, strict=True):
             measured = dict(zip(names, row, strict=True))
             deltas: dict[str, dict[str, float]] = {}

@@ -47,7 +47,7 @@ def test_the_margin_is_that_of_the_run_by_hand(tmp_path):
         f"    numpy.savez({str(tmp_path / 'trace.npz')!r}, **t)\n    return 1.0\n"
     )
     file = write(tmp_path, {**requirements, "keep": trace})
-    robustness = Simulator(load_campaign(file)).run(0).robustness
+    robustness = Simulator(load_campaign(file)).simulate_run(0).robustness
     rows, scene = np.load(tmp_path / "trace.npz"), load_scene("three_axis")
     tool = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     end = 7 * MOTION
@@ -66,7 +66,7 @@ def test_the_margin_is_that_of_the_run_by_hand(tmp_path):
 def test_a_run_that_ends_with_its_reference_fails(tmp_path):
     file = write(tmp_path, {"still": {"vibration": "swing", "at_most": 1.0}})
     file.write_text(file.read_text().replace("seconds: 1.0", "seconds: 0.3"))
-    assert Simulator(load_campaign(file)).run(0).robustness["still"] == -np.inf
+    assert Simulator(load_campaign(file)).simulate_run(0).robustness["still"] == -np.inf
 
 
 @pytest.mark.parametrize(
@@ -94,4 +94,4 @@ def test_moves_of_the_motion_controller_are_judged_too(tmp_path):
     }
     file = tmp_path / "c.yaml"
     file.write_text(yaml.safe_dump(data))
-    assert 0.9e-3 < Simulator(load_campaign(file)).run(0).robustness["still"] <= 1e-3
+    assert 0.9e-3 < Simulator(load_campaign(file)).simulate_run(0).robustness["still"] <= 1e-3

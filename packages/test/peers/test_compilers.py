@@ -30,8 +30,8 @@ from arm_emulator.servo.servo_law import make_servo_unit
 from arm_emulator.tick.c import tick_unit
 from arm_emulator.toolchain.compiler_command import identify_compiler
 from arm_emulator.toolchain.unit import Unit
-from arm_emulator_campaign.program import judges_unit
-from arm_emulator_campaign.signals import sampler_unit
+from arm_emulator_campaign.program import make_judges_unit
+from arm_emulator_campaign.signals import make_sampler_unit
 from arm_emulator_fieldbus.drives_unit import drives_unit
 from arm_emulator_fieldbus.ethercat import ethercat_unit
 from arm_emulator_fleet.unit import build_fleet_unit
@@ -100,7 +100,12 @@ def units(folder: Path) -> Iterator[Unit]:
         yield build_equations_unit(scene)
         yield build_fleet_unit(scene)
     yield from (make_servo_unit(), make_servo_step_unit(), tick_unit(), build_real_time_unit())
-    yield from (build_record_ring_unit(), build_formula_unit(), judges_unit(), sampler_unit())
+    yield from (
+        build_record_ring_unit(),
+        build_formula_unit(),
+        make_judges_unit(),
+        make_sampler_unit(),
+    )
     yield from (drives_unit(), ethercat_unit())
     yield from (
         make_middleware_unit(),

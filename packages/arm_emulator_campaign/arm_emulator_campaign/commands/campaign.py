@@ -319,7 +319,7 @@ def _replay(
     definition: Campaign, case: Case, outputs: RunOutputs, page: str | None, bag: Path | None
 ) -> int:
     """Simulate a run again: judged as in the campaign, then once more for who records it."""
-    outcome = make_simulator(definition).run(case)
+    outcome = make_simulator(definition).simulate_run(case)
     for name, value in outcome.values.items():
         output.print_line(f"{name:<44} {value!r}")
     for name, value in outcome.robustness.items():
@@ -401,7 +401,7 @@ def record_case(
     simulator: Simulator, case: Case, outputs: RunOutputs, page: str | None = None
 ) -> None:
     """Simulate a run for who records it, or looks at its page at a port."""
-    pieces = simulator.drive(case)
+    pieces = simulator.drive_run(case)
     next(pieces)
     plant = simulator.session.plant
     with (
@@ -449,7 +449,7 @@ def print_shrunk(definition: Campaign, case: Case, into: Path) -> int:
         f"  {shrunk.seconds:.6g} s, fails by {-shrunk.margin:.6g}, {shrunk.runs} runs tried"
     )
     file = write_shrunk(definition, shrunk, into / f"shrunk_{case.index}")
-    margin = Simulator(load_campaign(file)).run(0).robustness[shrunk.requirement]
+    margin = Simulator(load_campaign(file)).simulate_run(0).robustness[shrunk.requirement]
     if margin >= 0.0:
         rule = f"fail {shrunk.requirement} when it is simulated again"
         raise Refusal("campaign", str(file), rule, f"holds by {margin:g}")

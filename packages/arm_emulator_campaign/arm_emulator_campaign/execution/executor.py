@@ -138,11 +138,11 @@ def measure_run(campaign: Campaign, device: str | None = None) -> tuple[float, f
         else make_simulator(campaign, device)
     )
     some = draw_cases(campaign.variation, np.arange(simulator.width) % campaign.count)
-    list(simulator.runs(some[:1]))
+    list(simulator.simulate_runs(some[:1]))
     ready, runs = clock(), 0
     while runs < 3 or clock() - ready < 0.2:
         runs += len(some)
-        list(simulator.runs(some))
+        list(simulator.simulate_runs(some))
         if clock() - ready > 5.0:
             break
     return (clock() - ready) / runs, ready - began

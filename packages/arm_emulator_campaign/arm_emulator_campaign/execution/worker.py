@@ -113,7 +113,7 @@ def simulate_chunk(
     began = time.process_time()
     _requests["busy"] = True
     try:
-        for run in simulator.runs(_make_cases(campaign, first, end, points)):
+        for run in simulator.simulate_runs(_make_cases(campaign, first, end, points)):
             outcomes.append(run)  # those before a run that is refused, too
             if _requests["end"]:
                 break

@@ -26,7 +26,7 @@ def compare(campaign: Campaign) -> None:
     for device in (None, "gpu"):
         simulator = make_simulator(campaign, device)
         found[device] = rows_of(
-            Outcomes.join(list(simulator.runs(cases_of(campaign, range(COUNT)))))
+            Outcomes.join(list(simulator.simulate_runs(cases_of(campaign, range(COUNT)))))
         )
     assert np.array_equal(found["gpu"], found[None], equal_nan=True)
 
@@ -46,6 +46,6 @@ def test_a_campaign_takes_so_long_for_a_run(tmp_path: Path) -> None:
     simulator, cases = make_simulator(campaign, "gpu"), cases_of(campaign, range(4000))
     for count in (COUNT, len(cases)):
         began = time.perf_counter()
-        assert sum(len(part.indices) for part in simulator.runs(cases[:count])) == count
+        assert sum(len(part.indices) for part in simulator.simulate_runs(cases[:count])) == count
         seconds = time.perf_counter() - began
         print(f"{count} runs: {1e6 * seconds / count:.1f} us a run")

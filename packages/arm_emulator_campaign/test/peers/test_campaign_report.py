@@ -19,7 +19,9 @@ def test_the_report_is_as_wide_as_a_phone(tmp_path):
     campaign = load_campaign(Path(__file__).parents[4] / "examples/campaign.yaml")
     results = Results(tmp_path, campaign)
     cases = draw_cases(campaign.variation, range(80))
-    write_part(results.folder, campaign, Outcomes.join(list(make_simulator(campaign).runs(cases))))
+    write_part(
+        results.folder, campaign, Outcomes.join(list(make_simulator(campaign).simulate_runs(cases)))
+    )
     columns = results.columns()
     file = write_report(campaign, results, columns, summarize(campaign, columns))
     with chromium() as browser:
