@@ -107,7 +107,7 @@ class BatchSimulator:
             Refusal: values of this run that are out of range.
         """
         (outcomes,) = self.simulate_runs(Cases.stack_runs([case]))
-        return Outcome.of(self._campaign, case, outcomes)
+        return Outcome.create_from_judged(self._campaign, case, outcomes)
 
     def _find_refused(self, cases: Cases, otherwise: Refusal) -> tuple[int, Refusal]:
         """Return the place of the first run that is refused alone, and its refusal."""

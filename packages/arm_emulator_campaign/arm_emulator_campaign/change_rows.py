@@ -82,7 +82,7 @@ def make_change_rows(
         columns.put_change(np.s_[:], place, NumberChange("seed", seed))
     happens = np.ones(shape, bool)
     happens[:, R:] = events.holders != UNCHANGED
-    ends = [fault.ends() for fault in faults]
+    ends = [fault.make_end_change() for fault in faults]
     for event in range(2 * F):
         holders = events.holders[:, event]
         for holder in set(holders.tolist()) - {UNCHANGED}:

@@ -49,22 +49,22 @@ class Shrunk:
     case: Case
 
 
-def shrink(campaign: Campaign, case: Case) -> Shrunk:
+def shrink_run(campaign: Campaign, case: Case) -> Shrunk:
     """Return the fewest changes and the shortest time with which a run fails as it does.
 
     Raises:
         Refusal: it does not fail.
     """
     tries = _Tries(campaign, case)
-    before = tries.margins(case)
+    before = tries.compute_margins(case)
     requirement = min(before, key=lambda name: before[name], default="")
     if not requirement or before[requirement] >= 0.0:
         where, valid = f"{campaign.where}, run {case.index}", "a run with `failed` in the results"
         raise Refusal(where, "the run", "fail", "all requirements hold", valid)
-    changes = tries.changes()
+    changes = tries.list_changes()
 
     def has_failure(some: Sequence[str]) -> bool:
-        return not tries.margins(tries.keep_only(some))[requirement] >= 0.0
+        return not tries.compute_margins(tries.keep_only(some))[requirement] >= 0.0
 
     changes = [] if has_failure([]) else find_fewest(changes, has_failure)
     shortened = tries.keep_only(changes)
@@ -72,7 +72,7 @@ def shrink(campaign: Campaign, case: Case) -> Shrunk:
         shortened = tries.find_shortest(shortened, requirement)
     changes_left = {name: shortened.values[name] for name in changes if name in shortened.values}
     faults = tuple(name.removeprefix(FAULT) for name in changes if name not in shortened.values)
-    margin = tries.margins(shortened)[requirement]
+    margin = tries.compute_margins(shortened)[requirement]
     runs, seconds = tries.runs, min(shortened.seconds, campaign.nominal[0].seconds)
     return Shrunk(
         requirement, before[requirement], margin, changes_left, faults, seconds, runs, shortened
@@ -110,7 +110,7 @@ class _Tries:
         self._cache: dict[str, dict[str, float]] = {}
         self.runs = 0
 
-    def changes(self) -> list[str]:
+    def list_changes(self) -> list[str]:
         """Return all changes; the faults first."""
         values = self._case.values
         moved = [name for name, value in values.items() if value != self._nominal[name]]
@@ -125,7 +125,7 @@ class _Tries:
         without = frozenset(name for name in self._faults if f"{FAULT}{name}" not in changes)
         return replace(self._case, values=values, without=without)
 
-    def margins(self, case: Case) -> dict[str, float]:
+    def compute_margins(self, case: Case) -> dict[str, float]:
         """Return the margins of a run, which is simulated once."""
         key = repr((sorted(case.values.items()), sorted(case.without), case.seconds))
         if key not in self._cache:
@@ -145,8 +145,8 @@ class _Tries:
         while high - low > 1:
             middle = (low + high) // 2
             ended = replace(case, seconds=middle * period)
-            holds = self.margins(replace(plain, seconds=ended.seconds))[requirement] >= 0.0
-            if holds and not self.margins(ended)[requirement] >= 0.0:
+            holds = self.compute_margins(replace(plain, seconds=ended.seconds))[requirement] >= 0.0
+            if holds and not self.compute_margins(ended)[requirement] >= 0.0:
                 high = middle
             else:
                 low = middle

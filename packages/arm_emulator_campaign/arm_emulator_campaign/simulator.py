@@ -77,7 +77,7 @@ class Simulator:
             Refusal: values of this run that are out of range.
         """
         case = draw_case(self._campaign.variation, which) if isinstance(which, int) else which
-        return Outcome.of(self._campaign, case, self._judge_run(case))
+        return Outcome.create_from_judged(self._campaign, case, self._judge_run(case))
 
     def simulate_runs(self, cases: Cases) -> Iterator[Outcomes]:
         """Simulate runs one after the other, see `BatchSimulator.simulate_runs`."""

@@ -102,7 +102,7 @@ def measure(file: Path, device: str | None, count: int, repetitions: int) -> dic
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "parts").mkdir()
         collect, _ = find_least(
-            lambda: write_part(Path(folder), campaign, Outcomes.join(every)), repetitions
+            lambda: write_part(Path(folder), campaign, Outcomes.join_outcomes(every)), repetitions
         )
     times["collect"] = collect * share / math.ceil(share)
     return {name: 1e6 * times[name] / count for name in COLUMNS}

@@ -187,8 +187,8 @@ def digest_runs(file: Path, folder: Path) -> str:
     campaign = load_campaign(file)
     simulator, results = make_simulator(campaign), Results(folder, campaign)
     cases = draw_cases(campaign.variation, range(campaign.count))
-    write_part(folder, campaign, Outcomes.join(list(simulator.simulate_runs(cases))))
-    return compute_digest(results.columns())
+    write_part(folder, campaign, Outcomes.join_outcomes(list(simulator.simulate_runs(cases))))
+    return compute_digest(results.collect_columns())
 
 
 def start_campaign(file: Path, into: Path, place: Place) -> Process:

@@ -23,7 +23,7 @@ from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator_campaign.batch_simulator import make_simulator
 from arm_emulator_campaign.case import draw_cases
-from arm_emulator_campaign.commands.campaign import campaign
+from arm_emulator_campaign.commands.campaign import execute_campaign
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.evaluators import PythonRequirement
 from arm_emulator_campaign.results.outcome import Outcomes
@@ -274,8 +274,10 @@ def digest_alone(file, count=None):
     order = np.random.default_rng(3).permutation(count or definition.count)
     for part in np.array_split(order, 7):
         cases = draw_cases(definition.variation, np.sort(part))
-        write_part(results.folder, definition, Outcomes.join(list(runs.simulate_runs(cases))))
-    return compute_digest(results.columns()), results.columns()
+        write_part(
+            results.folder, definition, Outcomes.join_outcomes(list(runs.simulate_runs(cases)))
+        )
+    return compute_digest(results.collect_columns()), results.collect_columns()
 
 
 @pytest.mark.slow
@@ -320,7 +322,7 @@ def test_damaged_parts_are_set_aside_and_their_runs_simulated_again(tmp_path, ca
     results, runs = Results(tmp_path / "alone", definition), make_simulator(definition)
     foreign = write_part(
         Results(tmp_path / "other", reseeded).folder, reseeded,
-        Outcomes.join(list(make_simulator(reseeded).simulate_runs(draw_cases(reseeded.variation, [3])))),
+        Outcomes.join_outcomes(list(make_simulator(reseeded).simulate_runs(draw_cases(reseeded.variation, [3])))),
     )  # fmt: skip
     for round_ in range(60 if FULL else 8):
         some = results.parts[int(rng.integers(len(results.parts)))]
@@ -337,15 +339,17 @@ def test_damaged_parts_are_set_aside_and_their_runs_simulated_again(tmp_path, ca
                 some.unlink()
                 (some.parent / foreign.name).write_bytes(foreign.read_bytes())
         results = Results(tmp_path / "alone", definition)  # as the next command finds them
-        missing = results.missing(70)
+        missing = results.list_missing(70)
         assert 1 <= sum(end - first for first, end in missing) <= 10, "of one part"
         assert ("is set aside" in capsys.readouterr().err) and not (
             some.parent / foreign.name
         ).exists()
         for first, end in missing:
             cases = draw_cases(definition.variation, range(first, end))
-            write_part(results.folder, definition, Outcomes.join(list(runs.simulate_runs(cases))))
-        assert not results.missing(70) and compute_digest(results.columns()) == digest
+            write_part(
+                results.folder, definition, Outcomes.join_outcomes(list(runs.simulate_runs(cases)))
+            )
+        assert not results.list_missing(70) and compute_digest(results.collect_columns()) == digest
     assert list((tmp_path / "alone" / "set_aside").iterdir()), "they are kept"
 
 
@@ -363,7 +367,7 @@ def test_a_file_of_checks_is_beside_its_campaign_and_cannot_end_the_command(tmp_
         requirements = {"c": {"python": f"{name}:f", "signals": ["q.elbow"]}}
         file = written(inside, changed(data, "requirements", requirements))
         with pytest.raises(Refusal, match="a file beside the campaign's or below its folder"):
-            campaign(file, dry=True)
+            execute_campaign(file, dry=True)
         assert not Path(f"{outside}.ran").exists(), "nothing of it ran"
     requirements = {"c": {"python": "below/checks.py:f", "signals": ["q.elbow"]}}
     Simulator(load_campaign(written(inside, changed(data, "requirements", requirements))))
@@ -371,12 +375,14 @@ def test_a_file_of_checks_is_beside_its_campaign_and_cannot_end_the_command(tmp_
         (inside / "ends.py").write_text(text)
         requirements = {"c": {"python": "ends.py:f", "signals": ["q.elbow"]}}
         with pytest.raises(Refusal, match=r"be a file that Python can run, got SystemExit"):
-            campaign(written(inside, changed(data, "requirements", requirements)), dry=True)
+            execute_campaign(written(inside, changed(data, "requirements", requirements)), dry=True)
 
 
 def test_no_runs_are_no_success(tmp_path, monkeypatch):
-    monkeypatch.setattr("arm_emulator_campaign.commands.campaign._simulate", lambda *_: (False, []))
-    assert campaign(written(tmp_path, TABLE), into=tmp_path / "results", workers=1) == 1
+    monkeypatch.setattr(
+        "arm_emulator_campaign.commands.campaign._simulate_missing", lambda *_: (False, [])
+    )
+    assert execute_campaign(written(tmp_path, TABLE), into=tmp_path / "results", workers=1) == 1
     assert output.collected["missed"] == "it has ended before the first run"
 
 
@@ -394,7 +400,7 @@ def test_no_runs_are_no_success(tmp_path, monkeypatch):
 )
 def test_requirements_about_the_first_sample_are_named(tmp_path, capsys, text, line):
     data = changed(changed(TABLE, "requirements", {"asked": text}), "scenario/seconds", 0.2)
-    assert campaign(written(tmp_path, data), dry=True) == 0
+    assert execute_campaign(written(tmp_path, data), dry=True) == 0
     warned = capsys.readouterr().err
     assert (line is None and "warning" not in warned) or (
         line is not None and "warning: c.yaml: requirements.asked" in warned and line in warned
@@ -407,9 +413,9 @@ def test_a_run_is_driven_again_to_the_last_bit(tmp_path):
     file, record = written(tmp_path, TABLE), tmp_path / "r.parquet"
     definition = load_campaign(file)
     beside = draw_cases(definition.variation, range(20))
-    rows = Outcomes.join(list(make_simulator(definition).simulate_runs(beside)))
+    rows = Outcomes.join_outcomes(list(make_simulator(definition).simulate_runs(beside)))
     outputs = RunOutputs(record=record)
-    code = campaign(file, replay=17, outputs=outputs)
+    code = execute_campaign(file, replay=17, outputs=outputs)
     facts = json.loads(json.dumps(convert_to_plain(output.collected)))
     assert code == int(facts["failed"]) and bool(facts["missed"]) == facts["failed"]
     assert list(facts["robustness"].values()) == rows.robustness[17].tolist()
@@ -433,7 +439,7 @@ def test_kills_at_random_moments_lose_nothing(tmp_path, victim):
 
 
 def test_the_price_is_stated_before_the_runs(tmp_path, capsys):
-    assert campaign(written(tmp_path, TABLE), into=tmp_path / "x", dry=True) == 0
+    assert execute_campaign(written(tmp_path, TABLE), into=tmp_path / "x", dry=True) == 0
     printed = capsys.readouterr().out
     assert "300 runs of 0.2 s" in printed and "kB" in printed
     assert not (tmp_path / "x").exists()

@@ -12,7 +12,7 @@ from test_splitting import DRIFTS
 from arm_emulator import Refusal
 from arm_emulator_campaign import batch_simulator
 from arm_emulator_campaign.batch_simulator import WIDTH, BatchSimulator, make_simulator
-from arm_emulator_campaign.commands.campaign import campaign as run_command
+from arm_emulator_campaign.commands.campaign import execute_campaign as run_command
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.execution.executor import run_campaign
 from arm_emulator_campaign.execution.worker_pool import LocalPool, WorkerPool
@@ -26,13 +26,17 @@ def test_runs_on_a_device_equal_those_in_lanes(
 ) -> None:
     campaign = campaign_of(tmp_path, VARIED[name])
     lanes, count = BatchSimulator(campaign), WIDTH + 5
-    expected = rows_of(Outcomes.join(list(lanes.simulate_runs(cases_of(campaign, range(count))))))
+    expected = rows_of(
+        Outcomes.join_outcomes(list(lanes.simulate_runs(cases_of(campaign, range(count)))))
+    )
     assert len(np.unique(expected, axis=0)) == count
     for width in (count, 7):  # 7: further batches, and a thread whose second arm is nobody
         monkeypatch.setattr(batch_simulator, "LARGEST_WIDTH", width)
         there = make_simulator(campaign, "processor")
         assert there.width == width
-        rows = rows_of(Outcomes.join(list(there.simulate_runs(cases_of(campaign, range(count))))))
+        rows = rows_of(
+            Outcomes.join_outcomes(list(there.simulate_runs(cases_of(campaign, range(count)))))
+        )
         assert np.array_equal(rows, expected, equal_nan=True)
 
 
@@ -41,7 +45,7 @@ def test_workers_with_a_device_each_write_the_results_of_lanes(tmp_path: Path) -
     results = Results(tmp_path / "devices", campaign)
     worker_pool = WorkerPool(lambda: LocalPool(2, ["processor"] * 2), 0.02, lambda progress: None)
     run_campaign(campaign, results, worker_pool)
-    columns = results.columns()
+    columns = results.collect_columns()
     assert np.array_equal(columns["index"], np.arange(campaign.count))
     assert 0 < np.count_nonzero(columns["failed"])
     assert compute_digest(columns) == digest_alone(campaign.file)[0], "that of lanes"

@@ -99,7 +99,7 @@ def test_a_campaign_that_ends_by_the_width_of_its_intervals_covers_as_it_states(
     while running.any():
         hits[running] += rng.binomial(count - before, share, np.count_nonzero(running))
         for k in np.unique(hits[running]):
-            low, high = stop.interval(int(k), count)
+            low, high = stop.compute_interval(int(k), count)
             if high - low <= width:
                 ended = running & (hits == k)
                 covered += np.count_nonzero(ended) if low <= share <= high else 0

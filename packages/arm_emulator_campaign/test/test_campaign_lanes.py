@@ -101,14 +101,16 @@ def test_each_run_equals_its_single_run_whatever_is_beside_it(tmp_path: Path, na
     runs, alone = make_simulator(campaign), Simulator(campaign)
     assert isinstance(runs, BatchSimulator)
     count = WIDTH + 5
-    all_rows = rows_of(Outcomes.join(list(runs.simulate_runs(cases_of(campaign, range(count))))))
+    all_rows = rows_of(
+        Outcomes.join_outcomes(list(runs.simulate_runs(cases_of(campaign, range(count)))))
+    )
     assert len(np.unique(all_rows, axis=0)) == count
     for index in some(range(count), 6):
         outcome = alone.simulate_run(index)
         single = [*outcome.robustness.values(), *outcome.measures.values(), outcome.diverged]
         np.testing.assert_array_equal(all_rows[index], single, err_msg=f"run {index}")
     order = np.random.default_rng(1).permutation(count)
-    again = rows_of(Outcomes.join(list(runs.simulate_runs(cases_of(campaign, order)))))
+    again = rows_of(Outcomes.join_outcomes(list(runs.simulate_runs(cases_of(campaign, order)))))
     assert np.array_equal(again, all_rows[order], equal_nan=True)
     few = rows_of(next(runs.simulate_runs(cases_of(campaign, order[:3]))))
     assert np.array_equal(few, all_rows[order[:3]], equal_nan=True)
@@ -157,7 +159,7 @@ def test_a_run_that_is_refused_leaves_those_before_it(tmp_path: Path) -> None:
         for run in make_simulator(campaign).simulate_runs(cases_of(campaign, range(200))):
             outcomes.append(run)
     refused = int(str(no.value).partition("run ")[2].partition(":")[0])
-    assert [*Outcomes.join(outcomes).indices] == list(range(refused)) and refused > 0
+    assert [*Outcomes.join_outcomes(outcomes).indices] == list(range(refused)) and refused > 0
 
 
 def test_the_motion_controller_leads_runs_in_sequence(tmp_path: Path) -> None:

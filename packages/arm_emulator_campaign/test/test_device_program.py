@@ -143,7 +143,7 @@ def test_runs_judged_on_a_device_equal_those_in_lanes(
 ) -> None:
     campaign, count = load(tmp_path, name), 23
     expected = rows_of(
-        Outcomes.join(
+        Outcomes.join_outcomes(
             list(BatchSimulator(campaign).simulate_runs(cases_of(campaign, range(count))))
         )
     )
@@ -154,7 +154,9 @@ def test_runs_judged_on_a_device_equal_those_in_lanes(
         DeviceProgram, "take", lambda self, *piece: pieces.append(piece) or take(self, *piece)
     )
     there = make_simulator(campaign, "processor")
-    rows = rows_of(Outcomes.join(list(there.simulate_runs(cases_of(campaign, range(count))))))
+    rows = rows_of(
+        Outcomes.join_outcomes(list(there.simulate_runs(cases_of(campaign, range(count)))))
+    )
     assert np.array_equal(rows, expected, equal_nan=True)
     assert pieces, "judged there, not from copies of samples"
 
@@ -171,7 +173,7 @@ def test_requirements_for_the_processor_alone_are_judged_there(
         campaign = load_campaign(written(tmp_path, TABLE | REQUIREMENTS | change))
         lanes, there = (make_simulator(campaign, device) for device in (None, "processor"))
         rows, expected = (
-            rows_of(Outcomes.join(list(each.simulate_runs(cases_of(campaign, range(9))))))
+            rows_of(Outcomes.join_outcomes(list(each.simulate_runs(cases_of(campaign, range(9))))))
             for each in (there, lanes)
         )
         assert np.array_equal(rows, expected, equal_nan=True)

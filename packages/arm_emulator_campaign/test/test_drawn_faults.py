@@ -130,7 +130,7 @@ def test_the_newest_fault_that_lasts_holds(campaign: Campaign, seed: int) -> Non
             nominal_fault.kind
         )
         more = {} if size is None else {size: float(rng.uniform(0.1, 2.0))}
-        varied_fault = nominal_fault.with_numbers(
+        varied_fault = nominal_fault.replace_numbers(
             [((key,), value) for key, value in {**times, **more}.items()]
         )
         assert varied_fault is not None
@@ -147,5 +147,5 @@ def test_the_newest_fault_that_lasts_holds(campaign: Campaign, seed: int) -> Non
         expected = sound | {link: ExternalWrench() for link in now if link not in sound}
         for nominal_fault, begins, ends in sorted(faults, key=lambda fault: fault[1]):
             if begins <= tick < ends:
-                expected |= [set_by(nominal_fault.begins(campaign.scene))]
+                expected |= [set_by(nominal_fault.make_begin_change(campaign.scene))]
         assert now == expected, f"tick {tick}"

@@ -25,7 +25,7 @@ from arm_emulator_campaign.sampling.intervals import bound_mean
 from arm_emulator_campaign.search.falsification import Bayes, CmaEs
 from arm_emulator_campaign.search.sensitivity import Morris, Sobol
 from arm_emulator_campaign.search.subset import Subset
-from arm_emulator_campaign.shrinking import find_fewest, shrink, write_shrunk
+from arm_emulator_campaign.shrinking import find_fewest, shrink_run, write_shrunk
 from arm_emulator_campaign.simulator import Simulator, bind_case
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -221,7 +221,7 @@ class Here:
 def searched(campaign, folder, pool, workers, seconds=1e-3):
     results, pool.workers = Results(folder, campaign), workers
     worker_pool = WorkerPool(lambda: pool, seconds, lambda _: None)
-    return Searcher(campaign, results, worker_pool).run(), results.columns()
+    return Searcher(campaign, results, worker_pool).run(), results.collect_columns()
 
 
 def probability(campaign):
@@ -414,7 +414,7 @@ def test_a_failure_is_shrunk_to_its_cause_and_written(tmp_path):
     campaign = load_campaign(written(tmp_path, data))
     values = dict(draw_case(campaign.variation, 3).values) | {"faults.push.force.2": 900.0}
     case = replace(draw_case(campaign.variation, 3), values=values)
-    shrunk = shrink(campaign, case)
+    shrunk = shrink_run(campaign, case)
     assert shrunk.changes == {"faults.push.force.2": 900.0} and shrunk.faults == ("push",)
     # A period less does not fail: the machine alone, tick by tick.
     assert 0.01 < shrunk.seconds < 0.06 and shrunk.margin < 0.0 and shrunk.requirement == "near"
@@ -425,7 +425,7 @@ def test_a_failure_is_shrunk_to_its_cause_and_written(tmp_path):
         "near"
     ] == pytest.approx(shrunk.margin, abs=1e-9)
     with pytest.raises(Refusal, match="must fail"):
-        shrink(campaign, draw_case(campaign.variation, 3))
+        shrink_run(campaign, draw_case(campaign.variation, 3))
 
 
 def test_numbers_of_scene_and_servo_are_written(tmp_path):
@@ -436,7 +436,7 @@ def test_numbers_of_scene_and_servo_are_written(tmp_path):
     }
     data["requirements"] = {"short": "always error.elbow < -1"}
     campaign = load_campaign(written(tmp_path, data))
-    shrunk = shrink(campaign, draw_case(campaign.variation, 0))
+    shrunk = shrink_run(campaign, draw_case(campaign.variation, 0))
     assert shrunk.changes == {} and shrunk.faults == ()  # it fails without any change
     changes = {"payload.mass": 2.5, "controller.joints.elbow.velocity_gain": 133.0}
     again = load_campaign(

@@ -18,9 +18,9 @@ from arm_emulator_campaign.execution.worker_pool import WorkerPool
 from arm_emulator_campaign.forking import ForkingRun, make_forked_case
 from arm_emulator_campaign.results.parts import Results
 from arm_emulator_campaign.results.report import write_report
-from arm_emulator_campaign.results.summary import summarize
+from arm_emulator_campaign.results.summary import compute_summary
 from arm_emulator_campaign.search.splitting import ForkOrigin, Splitting
-from arm_emulator_campaign.shrinking import shrink, write_shrunk
+from arm_emulator_campaign.shrinking import shrink_run, write_shrunk
 from arm_emulator_campaign.simulator import Simulator
 
 DRIFTS = {
@@ -205,7 +205,7 @@ def test_a_failure_is_replayed_and_shrunk_by_its_number(tmp_path):
     with pytest.raises(Refusal, match=f"be a failure of the search, got {count}"):
         find_case(campaign, into, count, "--replay")
     k = next(k for k, failure in enumerate(read_failures(results)) if len(failure.seeds) > 1)
-    shrunk = shrink(campaign, find_case(campaign, into, k, "--shrink"))
+    shrunk = shrink_run(campaign, find_case(campaign, into, k, "--shrink"))
     file = write_shrunk(campaign, shrunk, tmp_path / "shrunk")
     again = Simulator(load_campaign(file)).simulate_run(0)
     assert again.robustness == {"counts": pytest.approx(shrunk.margin, abs=1e-15)}
@@ -253,9 +253,9 @@ def test_a_search_goes_on_and_has_the_same_end(tmp_path):
     assert all(row[3] <= row[2] <= row[4] for row in rows)
     margins = [row[1] for row in rows]
     assert margins == sorted(margins, reverse=True) and margins[-1] == 0.0 and len(rows) > 1
-    columns = results.columns()
+    columns = results.collect_columns()
     report = write_report(
-        campaign, results, columns, summarize(campaign, columns), first
+        campaign, results, columns, compute_summary(campaign, columns), first
     ).read_text()
     for row in rows:
         assert f"<td>{row[0]}<td class=n>{row[1]:.4g}<td class=n>{row[2]:.4g}" in report

@@ -60,9 +60,9 @@ from arm_emulator_campaign.results.parts import (
     list_column_units,
 )
 from arm_emulator_campaign.results.report import write_report
-from arm_emulator_campaign.results.summary import Summary, summarize
+from arm_emulator_campaign.results.summary import Summary, compute_summary
 from arm_emulator_campaign.search.method import Finding
-from arm_emulator_campaign.shrinking import shrink, write_shrunk
+from arm_emulator_campaign.shrinking import shrink_run, write_shrunk
 from arm_emulator_campaign.simulator import Simulator
 
 PATIENCE = 10.0  # s that a Dask scheduler may take to answer
@@ -77,7 +77,7 @@ BYTES_PER_NUMBER = 9.0  # of a part, measured: doubles of random bits hardly shr
         "`index`, `requirement`, `changes`, `faults`, `seconds`, `margin`, `runs`, `campaign`"
     ),
 )
-def campaign(
+def execute_campaign(
     file: Annotated[Path, Parameter(metavar="FILE")],
     /,
     *,
@@ -132,7 +132,7 @@ def campaign(
     devices = _read_devices(definition, device, dask, workers, [replay, shrink])
     into = into or Path("out") / "campaigns" / file.stem
     if replay is not None:
-        return _replay(
+        return _replay_run(
             definition, find_case(definition, into, replay, "--replay"), outputs, page, bag
         )
     if shrink is not None:
@@ -145,11 +145,11 @@ def campaign(
     if dry:
         return 0
     results = Results(into, definition)
-    interrupted, findings = _simulate(definition, results, dask, workers, devices, seconds)
-    columns = results.columns()
-    summary = summarize(definition, columns)
+    interrupted, findings = _simulate_missing(definition, results, dask, workers, devices, seconds)
+    columns = results.collect_columns()
+    summary = compute_summary(definition, columns)
     if definition.search is None:
-        _print(summary, compute_digest(columns), results.folder)
+        _print_summary(summary, compute_digest(columns), results.folder)
     else:
         print_findings(findings, compute_digest(columns), summary.count, results.folder)
     if summary.count or findings:
@@ -230,7 +230,7 @@ def _print_cost(definition: Campaign, seconds: float, ready: float, workers: int
     )
 
 
-def _simulate(
+def _simulate_missing(
     definition: Campaign,
     results: Results,
     dask: str | None,
@@ -242,13 +242,13 @@ def _simulate(
     # One that was killed may take its time to be there again.
     patience = itertools.chain([PATIENCE], itertools.repeat(60.0))
 
-    def pool() -> Pool:
+    def open_pool() -> Pool:
         if dask is None:
             return LocalPool(len(devices) or workers or _count_workers(dask), devices)
         return DaskPool(dask, next(patience), workers, *devices)
 
     with _show_progress() as report:
-        worker_pool = WorkerPool(pool, seconds, report)
+        worker_pool = WorkerPool(open_pool, seconds, report)
         try:
             if definition.search is not None and definition.search.forks:
                 return False, Splitter(definition, results, worker_pool).run()
@@ -274,24 +274,24 @@ def _show_progress() -> Iterator[Callable[[CampaignProgress], None]]:
     with Bar(BarColumn(), *map(TextColumn, columns), console=console, transient=True) as bar:
         task = bar.add_task("", facts="")
 
-        def show(now: CampaignProgress) -> None:
+        def update_bar(now: CampaignProgress) -> None:
             done = now.before + now.done
             bar.update(task, total=now.count, completed=done, facts=_format_progress(now))
 
-        yield show
+        yield update_bar
 
 
 def _print_progress() -> Callable[[CampaignProgress], None]:
     last = [time.monotonic()]
 
-    def show(now: CampaignProgress) -> None:
+    def print_line(now: CampaignProgress) -> None:
         if time.monotonic() - last[0] >= 10.0:
             last[0] = time.monotonic()
             output.print_line(
                 f"{now.before + now.done} of {now.count} runs, {_format_progress(now)}"
             )
 
-    return show
+    return print_line
 
 
 def _format_progress(now: CampaignProgress) -> str:
@@ -299,7 +299,7 @@ def _format_progress(now: CampaignProgress) -> str:
     return f"{now.rate:.0f} runs/s, {now.failures[-1]} failed, {left}"
 
 
-def _print(summary: Summary, digest: str, folder: Path) -> None:
+def _print_summary(summary: Summary, digest: str, folder: Path) -> None:
     percent = f"{100 * summary.confidence:g} %"
     for share in summary.shares if summary.count else ():
         output.print_line(
@@ -315,7 +315,7 @@ def _print(summary: Summary, digest: str, folder: Path) -> None:
     })  # fmt: skip
 
 
-def _replay(
+def _replay_run(
     definition: Campaign, case: Case, outputs: RunOutputs, page: str | None, bag: Path | None
 ) -> int:
     """Simulate a run again: judged as in the campaign, then once more for who records it."""
@@ -386,7 +386,7 @@ def find_case(definition: Campaign, into: Path, index: int, option: str) -> Case
             valid = f"0 to {len(failures) - 1}" if failures else None
             raise Refusal("campaign", option, "be a failure of the search", index, valid)
         return replace(make_forked_case(definition, failures[index]), index=index)
-    columns = results.columns()
+    columns = results.collect_columns()
     places = np.flatnonzero(columns[INDEX] == index)
     if not len(places):
         count = len(columns[INDEX])
@@ -434,7 +434,7 @@ def print_findings(findings: Sequence[Finding], digest: str, count: int, folder:
 
 def print_shrunk(definition: Campaign, case: Case, into: Path) -> int:
     """Shrink a run that fails, write it, and print what is left of it."""
-    shrunk = shrink(definition, case)
+    shrunk = shrink_run(definition, case)
     output.print_line(f"run {case.index} fails {shrunk.requirement} by {-shrunk.before:.6g}")
     for name, value in shrunk.changes.items():
         nominal = next(

@@ -13,7 +13,7 @@ from arm_emulator_campaign.fault_matrix import draw_matrix, find_worst, try_faul
 
 
 @command(keys="`scene`, `faults`; with the option matrix `matrix`")
-def faults(
+def show_faults(
     scene: SceneName = "three_axis",
     /,
     *,

@@ -75,7 +75,7 @@ class Stop:
     confidence: float
     seconds: float
 
-    def interval(self, hits: int, count: int) -> tuple[float, float]:
+    def compute_interval(self, hits: int, count: int) -> tuple[float, float]:
         """Return the interval of a share by the failures among so many runs.
 
         A campaign that may end by `width` looks at its runs several times, and ends sooner where
@@ -229,11 +229,11 @@ class Campaign:
                 numbers.setdefault(fault, []).append((path, value))
         faults = dict(self.nominal[1])
         for fault, fault_numbers in numbers.items():
-            varied_fault = faults[fault].with_numbers(fault_numbers) if fault else None
+            varied_fault = faults[fault].replace_numbers(fault_numbers) if fault else None
             if varied_fault is None:
                 return None
             if not any(isinstance(value, np.ndarray) for _, value in fault_numbers):
-                varied_fault.check(self.scene, f"{self.where}: faults.{fault}")
+                varied_fault.check_scene(self.scene, f"{self.where}: faults.{fault}")
             faults[fault] = varied_fault
         return faults
 
@@ -406,8 +406,8 @@ def _load_varied_scene(
     }  # fmt: skip
     varied, of_faults = list(scene_data.get("varied") or []), dict[str, Section]()
     for kind, section in _read_kinds(root):
-        overrides = kind.needs({**scene_data, **overrides}) | overrides
-        of_faults |= dict.fromkeys(kind.sets(section), section)
+        overrides = kind.list_needed_keys({**scene_data, **overrides}) | overrides
+        of_faults |= dict.fromkeys(kind.list_set_numbers(section), section)
     varied += of_faults
     scene = _load_changed_scene(file, overrides, root.where)
     if scene.has_sensor_errors:
@@ -459,8 +459,8 @@ def _read_faults(root: Section, scene: Scene) -> dict[str, Fault]:
     faults = {}
     for name in section.list_keys():
         below = section.require_section(name)
-        faults[name] = _read_kind(below).read(below)
-        faults[name].check(scene, f"{root.where}: faults.{name}")
+        faults[name] = _read_kind(below).read_section(below)
+        faults[name].check_scene(scene, f"{root.where}: faults.{name}")
     section.refuse_unread_keys()
     return faults
 

@@ -52,7 +52,7 @@ def draw_scenarios(
     """
     count = len(next(iter(values.values())))
 
-    def take(name: str, bound: Number, otherwise: float) -> Array:
+    def take_samples(name: str, bound: Number, otherwise: float) -> Array:
         samples = values.get(f"scenario.{name}")
         if samples is None:
             return np.full(count, otherwise)
@@ -62,12 +62,12 @@ def draw_scenarios(
     joints = scene.joint_names
     start = np.stack(
         [
-            take(f"start.{joint}", POSITION, q)
+            take_samples(f"start.{joint}", POSITION, q)
             for joint, q in zip(joints, nominal.start, strict=True)
         ],
         axis=1,
     )
-    seconds = take("seconds", SECONDS, nominal.seconds)
+    seconds = take_samples("seconds", SECONDS, nominal.seconds)
     table = nominal.targets
     if table is None:
         return DrawnScenarios(
@@ -79,11 +79,13 @@ def draw_scenarios(
     if entries:
         t, q, before = t.copy(), q.copy(), start
         for row, entry in enumerate(entries):
-            t[:, row] = take(f"targets.{row}.at", AT, table.t[row])
+            t[:, row] = take_samples(f"targets.{row}.at", AT, table.t[row])
             for place, joint in enumerate(joints):
                 name, otherwise = f"targets.{row}.{joint}", table.q[row, place]
                 stated = joint in entry
-                q[:, row, place] = take(name, POSITION, otherwise) if stated else before[:, place]
+                q[:, row, place] = (
+                    take_samples(name, POSITION, otherwise) if stated else before[:, place]
+                )
             before = q[:, row]
         if not np.all(t[:, 1:] > t[:, :-1]):
             raise Refusal(where, "scenario.targets", "have ascending times", "others")

@@ -44,36 +44,38 @@ class Fault:
     lasting: float = number("s", above=0.0, default=math.inf, text="how long; to the end if absent")
 
     @classmethod
-    def read(cls, section: Section) -> Self:
+    def read_section(cls, section: Section) -> Self:
         """Return the one that a section states.
 
         Raises:
             Refusal: a number out of its range.
         """
-        return cls(**section.read_numbers(cls), **cls.others(section))
+        return cls(**section.read_numbers(cls), **cls.read_attributes(section))
 
     @classmethod
-    def others(cls, section: Section) -> dict[str, Any]:
+    def read_attributes(cls, section: Section) -> dict[str, Any]:
         """Return what a section states beside numbers."""
         return {}
 
     @classmethod
-    def sets(cls, section: Section) -> Sequence[str]:
+    def list_set_numbers(cls, section: Section) -> Sequence[str]:
         """Return the numbers of the scene that it sets, which become data of the machine."""
         return ()
 
     @classmethod
-    def needs(cls, scene: Mapping[str, Any]) -> dict[str, Any]:
+    def list_needed_keys(cls, scene: Mapping[str, Any]) -> dict[str, Any]:
         """Return what a scene file that has these keys lacks for it, as `load_scene` takes it."""
         return {}
 
     @classmethod
-    def unit_of(cls, key: str) -> str:
+    def get_unit(cls, key: str) -> str:
         """Return the unit of a number or a vector."""
         number = list_numbers(cls).get(key) or cls.vectors.get(key)
         return number.unit if number else ""
 
-    def with_numbers(self, numbers: Iterable[tuple[Sequence[str], float | Array]]) -> Self | None:
+    def replace_numbers(
+        self, numbers: Iterable[tuple[Sequence[str], float | Array]]
+    ) -> Self | None:
         """Return it with other numbers, as if it had been read so.
 
         Args:
@@ -81,13 +83,13 @@ class Fault:
                 and its value, or those of many runs (K,).
 
         Returns:
-            None: no such number, or a value out of its range, which `read` refuses.
+            None: no such number, or a value out of its range, which `read_section` refuses.
         """
         changed: dict[str, Any] = {}
         own = list_numbers(type(self))
         for (key, *place), value in numbers:
             bound = self.vectors.get(key) if place else own.get(key)
-            if bound is None or not are_in_range(bound, value):
+            if bound is None or not is_value_in_range(bound, value):
                 return None
             if place:
                 entries = list(changed.get(key) or getattr(self, key))
@@ -99,19 +101,19 @@ class Fault:
                 )
         return replace(self, **changed)
 
-    def check(self, scene: Scene, where: str) -> None:
+    def check_scene(self, scene: Scene, where: str) -> None:
         """Refuse what this scene cannot have."""
 
-    def begins(self, scene: Scene) -> Change:
+    def make_begin_change(self, scene: Scene) -> Change:
         """Return what is set in the machine when it begins."""
         raise NotImplementedError
 
-    def ends(self) -> Change:
+    def make_end_change(self) -> Change:
         """Return what is set when it ends."""
         raise NotImplementedError
 
 
-def are_in_range(bound: Number, value: float | Array) -> bool:
+def is_value_in_range(bound: Number, value: float | Array) -> bool:
     """Return whether a number is in its range, or all of several."""
     if not isinstance(value, np.ndarray):
         return bound.is_in_range(value)
@@ -157,7 +159,7 @@ def schedule_events(faults: Sequence[Fault], scene: Scene, count: int) -> Events
     it ends, the newest of those that still last holds again.
     """
     period, F = scene.servo_period, len(faults)
-    changes = [fault.begins(scene) for fault in faults]
+    changes = [fault.make_begin_change(scene) for fault in faults]
     ticks = np.empty((count, 2 * F), np.int64)
     for place, fault in enumerate(faults):
         ticks[:, F + place] = begins = count_all_ticks(fault.at, period)
@@ -212,7 +214,7 @@ def schedule_changes(
         if holder == UNCHANGED:
             continue
         ended = of_run[event % len(of_run)]
-        change = ended.ends() if holder == SOUND else events.changes[holder]
+        change = ended.make_end_change() if holder == SOUND else events.changes[holder]
         if isinstance(change, NumberChange) and change.value is None:
             change = replace(change, value=sound[change.name])
         changes.append((int(events.ticks[0, event]), change))

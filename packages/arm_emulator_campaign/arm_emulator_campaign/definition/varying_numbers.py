@@ -32,7 +32,7 @@ def read_varying(
     for fault in () if faults is None else faults.list_keys():
         kind = list_faults()[data["faults"][fault]["kind"]]
         for name, value in list_leaves(data["faults"][fault]):
-            nominal_values[f"faults.{fault}.{name}"] = kind.unit_of(name.split(".")[0]), value
+            nominal_values[f"faults.{fault}.{name}"] = kind.get_unit(name.split(".")[0]), value
     for joint in servo.joints:
         for name, number in list_numbers(type(joint)).items():
             value = getattr(joint, name)

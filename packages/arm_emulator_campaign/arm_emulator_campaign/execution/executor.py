@@ -35,7 +35,7 @@ def run_campaign(campaign: Campaign, results: Results, worker_pool: WorkerPool) 
         Refusal: a run that is not taken, or workers that end again and again.
         KeyboardInterrupt: after what was done has been written.
     """
-    columns = results.columns()
+    columns = results.collect_columns()
     failures = count_failures(campaign, columns, campaign.count)
     progress = CampaignProgress(campaign.count, len(columns[INDEX]), failures=failures)
     for count in list_stages(campaign):
@@ -61,7 +61,7 @@ def _complete_runs(
         )
 
     with Work(campaign, worker_pool, progress) as all_of_it:
-        all_of_it.complete(lambda _: results.missing(count), work)
+        all_of_it.complete(lambda _: results.list_missing(count), work)
 
 
 def _simulate_chunks(
@@ -119,8 +119,8 @@ def may_stop(campaign: Campaign, results: Results, count: int) -> bool:
     stop = campaign.stop
     if stop.width <= 0.0:
         return False
-    failures = count_failures(campaign, results.columns(), count)
-    intervals = (stop.interval(failed, count) for failed in failures)
+    failures = count_failures(campaign, results.collect_columns(), count)
+    intervals = (stop.compute_interval(failed, count) for failed in failures)
     return all(high - low <= stop.width for low, high in intervals)
 
 

@@ -92,7 +92,7 @@ class Searcher:
 
     def _read(self) -> dict[str, NDArray[Any]]:
         """Take the runs that are done from the results, and return their columns."""
-        columns = self._results.columns()
+        columns = self._results.collect_columns()
         self._place_of_run = {int(index): place for place, index in enumerate(columns[INDEX])}
         self._values = np.column_stack([columns[name] for name in self._varying])
         self._stored_outputs = np.column_stack([columns[name] for name in self._outputs])

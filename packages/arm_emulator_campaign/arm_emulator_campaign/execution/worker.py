@@ -118,7 +118,7 @@ def simulate_chunk(
             if _requests["end"]:
                 break
     finally:
-        done = Outcomes.join(outcomes) if outcomes else None
+        done = Outcomes.join_outcomes(outcomes) if outcomes else None
         if done is not None:
             write_part(Path(folder), campaign, done)
         _requests["busy"] = False

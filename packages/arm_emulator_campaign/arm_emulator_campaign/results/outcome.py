@@ -33,7 +33,7 @@ class Outcome:
     diverged: float
 
     @classmethod
-    def of(cls, campaign: Campaign, case: Case, judged: Outcomes) -> Outcome:
+    def create_from_judged(cls, campaign: Campaign, case: Case, judged: Outcomes) -> Outcome:
         """Return the outcome of a run that was judged alone."""
         diverged = float(judged.diverged[0])
         return cls(
@@ -70,7 +70,7 @@ class Outcomes:
     diverged: Array
 
     @classmethod
-    def join(cls, several: Sequence[Outcomes]) -> Outcomes:
+    def join_outcomes(cls, several: Sequence[Outcomes]) -> Outcomes:
         """Return the runs of several, one after the other; of one at least."""
         names = cls.__dataclass_fields__
         return cls(

@@ -163,21 +163,21 @@ class Results:
         print_warnings(f"{file.name} is set aside, its runs are simulated again: {reason}")
         return False
 
-    def done(self) -> NDArray[np.int64]:
+    def list_done(self) -> NDArray[np.int64]:
         """Return the indices of the runs that are done, ascending."""
         import pyarrow.parquet as pq
 
         indices = [pq.read_table(part, columns=[INDEX])[INDEX].to_numpy() for part in self.parts]
         return np.unique(np.concatenate(indices)) if indices else np.zeros(0, np.int64)
 
-    def missing(self, count: int) -> list[tuple[int, int]]:
+    def list_missing(self, count: int) -> list[tuple[int, int]]:
         """Return the runs of the first `count` that are not done, as ranges [first, end)."""
-        done = self.done()
+        done = self.list_done()
         ends = np.concatenate([[-1], done[done < count], [count]])
         gaps = np.flatnonzero(np.diff(ends) > 1)
         return [(int(ends[gap]) + 1, int(ends[gap + 1])) for gap in gaps]
 
-    def table(self) -> Any:
+    def collect_table(self) -> Any:
         """Return all rows as a table of Arrow, by index."""
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -188,9 +188,9 @@ class Results:
         _, places = np.unique(table[INDEX].to_numpy(), return_index=True)
         return table.take(places)
 
-    def columns(self) -> dict[str, NDArray[Any]]:
+    def collect_columns(self) -> dict[str, NDArray[Any]]:
         """Return all columns by name (K,), by index."""
-        table = self.table()
+        table = self.collect_table()
         return {name: table[name].to_numpy() for name in table.column_names}
 
 
@@ -246,7 +246,7 @@ def find_formula_unit(formula: Formula, units: Mapping[str, str]) -> str | None:
 def find_expression_unit(expression: Expression, units: Mapping[str, str]) -> str | None:
     """Return the unit of arithmetic; None: of a constant, which has any."""
 
-    def unit(part: Expression, of: Sequence[str | None]) -> str | None:
+    def find_unit(part: Expression, of: Sequence[str | None]) -> str | None:
         if isinstance(part, Constant):
             return None
         if isinstance(part, Signal):
@@ -259,7 +259,7 @@ def find_expression_unit(expression: Expression, units: Mapping[str, str]) -> st
             return of[0]
         return None if all(operand_unit is None for operand_unit in of) else ""
 
-    return fold_expression(expression, unit)
+    return fold_expression(expression, find_unit)
 
 
 def _find_common_unit(several: Iterable[str | None]) -> str | None:

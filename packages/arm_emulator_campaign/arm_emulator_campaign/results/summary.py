@@ -26,7 +26,7 @@ class FailureRate:
         name: of the requirement.
         hits: runs in which it fails.
         share: of all runs.
-        low, high: confidence interval of the share, see `Stop.interval`.
+        low, high: confidence interval of the share, see `Stop.compute_interval`.
         worst: index of the run with the least robustness; -1: none.
         least: that robustness.
     """
@@ -82,7 +82,7 @@ class Summary:
     quantiles: tuple[Quantile, ...]
 
 
-def summarize(campaign: Campaign, columns: Mapping[str, NDArray[Any]]) -> Summary:
+def compute_summary(campaign: Campaign, columns: Mapping[str, NDArray[Any]]) -> Summary:
     """Return the summary of a campaign's rows."""
     count, confidence = len(columns[INDEX]), campaign.stop.confidence
     shares = []
@@ -90,7 +90,7 @@ def summarize(campaign: Campaign, columns: Mapping[str, NDArray[Any]]) -> Summar
         values = columns.get(f"{ROBUSTNESS}{name}", np.zeros(0))
         failed = columns[FAILED] if name == ANY else ~(values >= 0.0)
         hits = int(np.count_nonzero(failed))
-        low, high = campaign.stop.interval(hits, count)
+        low, high = campaign.stop.compute_interval(hits, count)
         at = int(np.argmin(values)) if len(values) else -1
         worst = int(columns[INDEX][at]) if at >= 0 else -1
         margin = float(values[at]) if at >= 0 else float("nan")

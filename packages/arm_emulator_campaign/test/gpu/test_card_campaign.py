@@ -26,7 +26,7 @@ def compare(campaign: Campaign) -> None:
     for device in (None, "gpu"):
         simulator = make_simulator(campaign, device)
         found[device] = rows_of(
-            Outcomes.join(list(simulator.simulate_runs(cases_of(campaign, range(COUNT)))))
+            Outcomes.join_outcomes(list(simulator.simulate_runs(cases_of(campaign, range(COUNT)))))
         )
     assert np.array_equal(found["gpu"], found[None], equal_nan=True)
 

@@ -10,7 +10,7 @@ from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.results.outcome import Outcomes
 from arm_emulator_campaign.results.parts import Results, write_part
 from arm_emulator_campaign.results.report import write_report
-from arm_emulator_campaign.results.summary import summarize
+from arm_emulator_campaign.results.summary import compute_summary
 
 NARROW = 360  # px
 
@@ -20,10 +20,12 @@ def test_the_report_is_as_wide_as_a_phone(tmp_path):
     results = Results(tmp_path, campaign)
     cases = draw_cases(campaign.variation, range(80))
     write_part(
-        results.folder, campaign, Outcomes.join(list(make_simulator(campaign).simulate_runs(cases)))
+        results.folder,
+        campaign,
+        Outcomes.join_outcomes(list(make_simulator(campaign).simulate_runs(cases))),
     )
-    columns = results.columns()
-    file = write_report(campaign, results, columns, summarize(campaign, columns))
+    columns = results.collect_columns()
+    file = write_report(campaign, results, columns, compute_summary(campaign, columns))
     with chromium() as browser:
         page = browser.new_page(viewport={"width": NARROW, "height": 740})
         page.goto(file.as_uri())

@@ -25,11 +25,11 @@ class Machine(Fault):
     magnitude: float = number("", ends=(-1e9, 1e9), text="in the unit of the fault")
 
     @classmethod
-    def others(cls, section: Section) -> dict[str, Any]:
+    def read_attributes(cls, section: Section) -> dict[str, Any]:
         """Return the name."""
         return {"fault": section.read_text("fault")}
 
-    def check(self, scene: Scene, where: str) -> None:
+    def check_scene(self, scene: Scene, where: str) -> None:
         """Refuse what the scene does not list, or a magnitude out of its range."""
         listed = {fault.name: fault.varied.number for fault in scene.faults}
         if self.fault not in listed:
@@ -37,10 +37,10 @@ class Machine(Fault):
             raise Refusal(where, "fault", "be listed by the scene", self.fault, listed_names)
         listed[self.fault].check_value(where, self.magnitude, "magnitude")
 
-    def begins(self, scene: Scene) -> Change:
+    def make_begin_change(self, scene: Scene) -> Change:
         """Return its magnitude."""
         return NumberChange(f"faults.{self.fault}", self.magnitude)
 
-    def ends(self) -> Change:
+    def make_end_change(self) -> Change:
         """Return that it is not there."""
         return NumberChange(f"faults.{self.fault}", 0.0)

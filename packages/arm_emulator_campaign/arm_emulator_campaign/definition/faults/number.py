@@ -28,26 +28,26 @@ class NumberOfScene(Fault):
     )
 
     @classmethod
-    def others(cls, section: Section) -> dict[str, Any]:
+    def read_attributes(cls, section: Section) -> dict[str, Any]:
         """Return the name."""
         return {"name": section.read_text("name")}
 
     @classmethod
-    def sets(cls, section: Section) -> Sequence[str]:
+    def list_set_numbers(cls, section: Section) -> Sequence[str]:
         """Return the name."""
         return (section.read_text("name"),)
 
-    def check(self, scene: Scene, where: str) -> None:
+    def check_scene(self, scene: Scene, where: str) -> None:
         """Refuse a pattern of names, or a value out of the number's range."""
         of = {number.name: number.number for number in scene.varied}
         if self.name not in of:
             raise Refusal(where, "name", "be one number, not a pattern", self.name, ", ".join(of))
         of[self.name].check_value(where, self.value, "value")
 
-    def begins(self, scene: Scene) -> Change:
+    def make_begin_change(self, scene: Scene) -> Change:
         """Return the value."""
         return NumberChange(self.name, self.value)
 
-    def ends(self) -> Change:
+    def make_end_change(self) -> Change:
         """Return the value before."""
         return NumberChange(self.name, None)

@@ -20,19 +20,19 @@ class Payload(Fault):
     mass: float = number("kg", at_least=0.0, text="of the payload from then on")
 
     @classmethod
-    def sets(cls, section: Section) -> Sequence[str]:
+    def list_set_numbers(cls, section: Section) -> Sequence[str]:
         """Return the payload's mass."""
         return ("payload.mass",)
 
     @classmethod
-    def needs(cls, scene: Mapping[str, Any]) -> dict[str, Any]:
+    def list_needed_keys(cls, scene: Mapping[str, Any]) -> dict[str, Any]:
         """Return a payload of no mass where the scene has none."""
         return {} if "payload" in scene else {"payload": 0.0}
 
-    def begins(self, scene: Scene) -> Change:
+    def make_begin_change(self, scene: Scene) -> Change:
         """Return the mass."""
         return NumberChange("payload.mass", self.mass)
 
-    def ends(self) -> Change:
+    def make_end_change(self) -> Change:
         """Return the mass before."""
         return NumberChange("payload.mass", None)

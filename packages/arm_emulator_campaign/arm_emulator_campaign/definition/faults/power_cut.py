@@ -16,10 +16,10 @@ class PowerCut(Fault):
 
     kind: ClassVar[str] = "power_cut"
 
-    def begins(self, scene: Scene) -> Change:
+    def make_begin_change(self, scene: Scene) -> Change:
         """Return that the power is cut."""
         return PowerChange(False)
 
-    def ends(self) -> Change:
+    def make_end_change(self) -> Change:
         """Return that it comes back."""
         return PowerChange(True)

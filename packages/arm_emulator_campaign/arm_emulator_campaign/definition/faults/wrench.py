@@ -37,7 +37,7 @@ class OnLink(Fault):
     axes: str = "world"
 
     @classmethod
-    def others(cls, section: Section) -> dict[str, Any]:
+    def read_attributes(cls, section: Section) -> dict[str, Any]:
         """Return link, vectors and axes."""
         vectors = {
             name: section.read_vector(bound.rename(name)) or NO_WRENCH
@@ -47,23 +47,23 @@ class OnLink(Fault):
         return {"link": section.read_text("link"), "axes": axes, **vectors}
 
     @classmethod
-    def needs(cls, scene: Mapping[str, Any]) -> dict[str, Any]:
+    def list_needed_keys(cls, scene: Mapping[str, Any]) -> dict[str, Any]:
         """Return that wrenches may act."""
         return {"external_wrench": True}
 
-    def wrench(self, period: float) -> ExternalWrench:
+    def make_wrench(self, period: float) -> ExternalWrench:
         """Return what acts, by the servo period [s]."""
         raise NotImplementedError
 
-    def check(self, scene: Scene, where: str) -> None:
+    def check_scene(self, scene: Scene, where: str) -> None:
         """Refuse a link that does not move."""
-        move_to_moving_link(scene, where, self.link, self.wrench(scene.servo_period))
+        move_to_moving_link(scene, where, self.link, self.make_wrench(scene.servo_period))
 
-    def begins(self, scene: Scene) -> Change:
+    def make_begin_change(self, scene: Scene) -> Change:
         """Return what acts."""
-        return WrenchChange(self.link, self.wrench(scene.servo_period))
+        return WrenchChange(self.link, self.make_wrench(scene.servo_period))
 
-    def ends(self) -> Change:
+    def make_end_change(self) -> Change:
         """Return that nothing acts."""
         return WrenchChange(self.link, ExternalWrench())
 
@@ -84,7 +84,7 @@ class Wrench(OnLink):
     force: tuple[float, ...] = NO_WRENCH
     moment: tuple[float, ...] = NO_WRENCH
 
-    def wrench(self, period: float) -> ExternalWrench:
+    def make_wrench(self, period: float) -> ExternalWrench:
         """Return force and moment."""
         force, moment = _stack_vector(self.force), _stack_vector(self.moment)
         return ExternalWrench(force, moment, _stack_vector(self.point), self.axes)
@@ -107,7 +107,7 @@ class Impulse(OnLink):
     lasting: float = number("s", above=0.0, at_most=1.0, default=1e-9, text="contact")
     impulse: tuple[float, ...]
 
-    def wrench(self, period: float) -> ExternalWrench:
+    def make_wrench(self, period: float) -> ExternalWrench:
         """Return the force."""
         contact = period * np.maximum(1, count_all_ticks(self.lasting, period))
         force = tuple(component / contact for component in self.impulse)
