@@ -57,11 +57,11 @@ class ForkingRun(Simulator):
         self._look = self._longest_look = max(1, count_ticks(campaign.search.look, period))
 
     @staticmethod
-    def check(campaign: Campaign) -> None:
+    def check_campaign(campaign: Campaign) -> None:
         """Refuse what cannot be forked, before anything is compiled."""
         _find_margin(campaign)
 
-    def begin(self, index: int, seed: int) -> None:
+    def begin_run(self, index: int, seed: int) -> None:
         """Begin a run with the values of an index, and noise of a seed."""
         self._begin_run(draw_case(self._campaign.variation, index))
         self._set_seed(seed)
@@ -96,7 +96,7 @@ class ForkingRun(Simulator):
     def _set_seed(self, seed: int) -> None:
         self.session.set_varied("seed", _fold_seed(seed))
 
-    def fork(self) -> Fork:
+    def fork_run(self) -> Fork:
         """Return the run as it is now."""
         run = self._run
         offline = isinstance(run, OfflineRun)
@@ -110,7 +110,7 @@ class ForkingRun(Simulator):
             self._lowest,
         )
 
-    def reach(self, level: float) -> tuple[bool, float]:
+    def reach_level(self, level: float) -> tuple[bool, float]:
         """Advance until the margin is at most a level, see `Process`.
 
         A run goes piece by piece. The one in which it reaches the level is taken back, and goes to
@@ -121,23 +121,23 @@ class ForkingRun(Simulator):
         self._sampler.begin_sampling()
         self._margin.go_on(self.session.tick)
         try:
-            self._take(level)  # the sample at which the run is, before any piece
+            self._judge_piece(level)  # the sample at which the run is, before any piece
             if self._is_at(level):
                 return True, self._lowest
-            pieces, before = self._advance_in_pieces(), self.fork()
+            pieces, before = self._advance_in_pieces(), self.fork_run()
             while next(pieces, None) is not None:
-                later = self._take(level)
+                later = self._judge_piece(level)
                 if later > 0:
                     tick = self.session.tick - later
                     self._return_to(before)
                     self._longest_look = tick - self.session.tick
                     self._margin.go_on(self.session.tick + 1)
                     next(self._advance_in_pieces())
-                    self._take(level)
+                    self._judge_piece(level)
                 if self._is_at(level):
                     break
                 if level > -math.inf:
-                    before = self.fork()
+                    before = self.fork_run()
         except Diverged:
             self._lowest = -math.inf
         finally:
@@ -148,7 +148,7 @@ class ForkingRun(Simulator):
     def _is_at(self, level: float) -> bool:
         return self._lowest < 0.0 if level == 0.0 else self._lowest <= level
 
-    def _take(self, level: float) -> int:
+    def _judge_piece(self, level: float) -> int:
         """Judge a piece; return how many ticks before its end it was at the level first."""
         samples, counts = self._sampler.take_samples()
         end, count = self.session.tick + 1, int(counts[0])

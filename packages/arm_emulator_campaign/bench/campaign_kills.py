@@ -54,10 +54,10 @@ class Place(Protocol):
     options: Sequence[str]  # of the command
     victims: Sequence[str]
 
-    def kill(self, victim: str, client: Process, rng: np.random.Generator) -> None:
+    def kill_process(self, victim: str, client: Process, rng: np.random.Generator) -> None:
         """Kill a process of a kind."""
 
-    def end(self) -> None:
+    def end_processes(self) -> None:
         """End what this has begun."""
 
 
@@ -93,7 +93,7 @@ class Here:
     options: Sequence[str] = ("--workers", str(WORKERS))
     victims: Sequence[str] = ("worker", "client", "ctrl-c")
 
-    def kill(self, victim: str, client: Process, rng: np.random.Generator) -> None:
+    def kill_process(self, victim: str, client: Process, rng: np.random.Generator) -> None:
         """Kill a process of a kind."""
         if victim != "worker":
             return kill_client(victim, client)
@@ -102,7 +102,7 @@ class Here:
             if workers:
                 os.kill(int(rng.choice(workers)), signal.SIGKILL)
 
-    def end(self) -> None:
+    def end_processes(self) -> None:
         """End what this has begun: nothing."""
 
 
@@ -122,40 +122,40 @@ class Cluster:
             ("scheduler", "--host", "127.0.0.1", "--port", str(port))
         ]
         self._words += [worker] * WORKERS
-        self._processes = [self._begun(words) for words in self._words]
+        self._processes = [self._begin_process(words) for words in self._words]
         # Its imports take long on a busy machine.
         if not has_come_true(lambda: is_open(port)):
-            self.end()
+            self.end_processes()
             raise TimeoutError(f"the scheduler does not listen after {LONGEST:g} s")
 
     @staticmethod
-    def _begun(words: tuple[str, ...]) -> subprocess.Popen[bytes]:
+    def _begin_process(words: tuple[str, ...]) -> subprocess.Popen[bytes]:
         kind, *more = words
         module = f"distributed.cli.dask_{kind}"
         process = [sys.executable, "-m", module, "--no-dashboard", *more]
         return subprocess.Popen(process, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
-    def kill(self, victim: str, client: Process, rng: np.random.Generator) -> None:
+    def kill_process(self, victim: str, client: Process, rng: np.random.Generator) -> None:
         """Kill a process, and start another one in its place: with a scheduler all workers."""
         if victim not in ("scheduler", "worker"):
             return kill_client(victim, client)
         everyone = range(len(self._words))
         for k in everyone if victim == "scheduler" else [int(rng.choice(everyone[1:]))]:
-            self._stop(k)
-            self._processes[k] = self._begun(self._words[k])
+            self._stop_process(k)
+            self._processes[k] = self._begin_process(self._words[k])
 
     def stop_scheduler(self) -> None:
         """Kill the scheduler; nobody takes its place."""
-        self._stop(0)
+        self._stop_process(0)
 
-    def _stop(self, k: int) -> None:
+    def _stop_process(self, k: int) -> None:
         self._processes[k].kill()
         self._processes[k].wait()
 
-    def end(self) -> None:
+    def end_processes(self) -> None:
         """End all processes."""
         for k in range(len(self._processes)):
-            self._stop(k)
+            self._stop_process(k)
 
 
 PLACES: dict[str, Callable[[], Place]] = {"here": Here, "dask": Cluster}
@@ -245,7 +245,7 @@ def simulate_kill(
         with contextlib.suppress(subprocess.TimeoutExpired):
             client.wait(after)
         processes, before = [client.pid, *list_descendants(client.pid)], list_parts(into)
-        place.kill(victim, client, rng)
+        place.kill_process(victim, client, rng)
         if victim in ("client", "ctrl-c"):
             client.communicate(timeout=LONGEST)
             if not has_come_true(lambda: not any(map(is_running, processes)), ENDING):
@@ -293,7 +293,7 @@ def main() -> None:
                 print(f"{moment}: {name} {victim}, {at}, {trial.when}: {good}", flush=True)
         finally:
             for place in places.values():
-                place.end()
+                place.end_processes()
     for kind in kinds:
         print(f"{' '.join(kind):<16} {survived[' '.join(kind)]}")
     print(f"{survived.total()} of {args.moments} survived, digest {expected[:16]}")

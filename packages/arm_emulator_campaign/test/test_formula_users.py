@@ -141,8 +141,8 @@ def by_splitting(texts: Sequence[str], folder: Path) -> Verdicts:
     for text in texts:
         search = {"method": "splitting", "of": "r0", "per_level": 20, "repetitions": 4}
         run = ForkingRun(campaign_of([text], folder, {**NOISY, "search": search}))
-        run.begin(0, 1)
-        margins.append(run.reach(-math.inf)[1])
+        run.begin_run(0, 1)
+        margins.append(run.reach_level(-math.inf)[1])
     return margins
 
 

@@ -51,7 +51,7 @@ def written(folder, data, name="c.yaml"):
 
 def run_search(method, outputs_at, D, seed=1, outputs=("g",)):
     """Finding about a function of points (K, D) -> (K, M), and the points that were asked for."""
-    sampler, requested = method.sampler([f"x{k}" for k in range(D)], list(outputs), seed), []
+    sampler, requested = method.make_sampler([f"x{k}" for k in range(D)], list(outputs), seed), []
     try:
         points = next(sampler)
         while True:
@@ -164,7 +164,7 @@ def test_sobol_indices_are_those_of_ishigami():
     finding, points = run_search(
         Sobol(base=1024), ishigami, 3, outputs=("g", "moved", "flat", "inf")
     )
-    assert len(points) == Sobol(base=1024).runs(3) == 5 * 1024
+    assert len(points) == Sobol(base=1024).count_runs(3) == 5 * 1024
     rows = {(row[0], row[1]): row[2:] for row in finding.rows}
     truth = {"x0": (0.5576, 0.3139), "x1": (0.4424, 0.4424), "x2": (0.2437, 0.0)}
     for output, (name, of_all) in itertools.product(("g", "moved"), truth.items()):
@@ -221,7 +221,7 @@ class Here:
 def searched(campaign, folder, pool, workers, seconds=1e-3):
     results, pool.workers = Results(folder, campaign), workers
     worker_pool = WorkerPool(lambda: pool, seconds, lambda _: None)
-    return Searcher(campaign, results, worker_pool).run(), results.collect_columns()
+    return Searcher(campaign, results, worker_pool).run_search(), results.collect_columns()
 
 
 def probability(campaign):

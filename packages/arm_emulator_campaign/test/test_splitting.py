@@ -68,7 +68,7 @@ class Walk:
     def __init__(self, bound):
         self.bound = bound
 
-    def begin(self, index, seed):
+    def begin_run(self, index, seed):
         self.go_on((0, 0.0, self.bound), seed)
 
     @property
@@ -78,13 +78,13 @@ class Walk:
     def go_on(self, state, seed):
         (self.t, self.x, self.least), self.rng = state, np.random.default_rng(seed)
 
-    def fork(self):
+    def fork_run(self):
         return self.t, self.x, self.least
 
     def at(self, level):
         return self.least < 0.0 if level == 0.0 else self.least <= level
 
-    def reach(self, level):
+    def reach_level(self, level):
         while not self.at(level) and self.t < 50:
             self.x = 0.9 * self.x + self.rng.standard_normal()
             self.t, self.least = self.t + 1, min(self.least, self.bound - self.x)
@@ -112,14 +112,14 @@ def test_repetitions_have_the_true_probability_in_their_mean():
     # Four standard errors of the mean: once in 16 000 draws of the seed.
     assert np.mean(p) == pytest.approx(truth, abs=4.0 * np.std(p) / math.sqrt(len(p)))
     assert np.std(p) < 2.0 * truth, "sampling as many runs would have 4 times that"
-    _, _, low, high, runs = method.finding("g", levels, repetitions).rows[0]
+    _, _, low, high, runs = method.make_finding("g", levels, repetitions).rows[0]
     assert low <= truth <= high and runs == sum(repetition.runs for repetition in repetitions)
 
 
 def test_a_failure_that_no_level_leads_to_is_reported():
     method = Splitting(of="g", per_level=20, least=1e-2)
     levels, leads = method.run_pilot(Walk(100.0), 1)
-    assert not leads and "No level led" in method.finding("g", levels, []).about
+    assert not leads and "No level led" in method.make_finding("g", levels, []).about
 
 
 MOVES = {
@@ -137,20 +137,20 @@ MOVES = {
 def test_a_fork_with_the_noise_of_its_run_is_that_run(tmp_path, change):
     """Faults that have begun and ended, power, servo and counts with it; whatever is between."""
     run = ForkingRun(read(tmp_path, DRIFTS | change))
-    run.begin(3, 5)
-    minimum = run.reach(-math.inf)[1]
+    run.begin_run(3, 5)
+    minimum = run.reach_level(-math.inf)[1]
     state = bits(run)
-    run.begin(3, 5)
+    run.begin_run(3, 5)
     level = 0.9 * 0.004 + 0.1 * minimum
-    assert run.reach(level)[0]
-    fork, tick = run.fork(), run.session.tick
-    run.begin(4, 6)  # another run between
-    run.reach(-math.inf)
+    assert run.reach_level(level)[0]
+    fork, tick = run.fork_run(), run.session.tick
+    run.begin_run(4, 6)  # another run between
+    run.reach_level(-math.inf)
     run.go_on(fork, 5)
     assert run.session.tick == tick
-    assert run.reach(-math.inf)[1] == minimum and bits(run) == state
+    assert run.reach_level(-math.inf)[1] == minimum and bits(run) == state
     run.go_on(fork, 7)
-    run.reach(-math.inf)
+    run.reach_level(-math.inf)
     assert bits(run) != state, "other noise"
 
 
@@ -159,8 +159,8 @@ def test_a_level_is_reached_at_its_tick(tmp_path):
     run, states = ForkingRun(read(tmp_path)), set()
     for look in (1, 7, 1000):
         run._look = run._longest_look = look
-        run.begin(2, 9)
-        reached, minimum = run.reach(0.003)
+        run.begin_run(2, 9)
+        reached, minimum = run.reach_level(0.003)
         states.add((reached, minimum, run.session.tick, bits(run)))
     assert len(states) == 1 and states.pop()[0]
 
@@ -171,18 +171,18 @@ def test_a_failure_of_forks_is_a_run_whose_noise_changes_after_its_start(tmp_pat
     own = {"faults.push.at": "uniform(0.01, 0.03)", "seed": "uniform(0, 1000)"}
     campaign = read(tmp_path, DRIFTS | change | {"vary": own})
     forks, seeds = ForkingRun(campaign), (5, 7, 2**31 + 9)
-    forks.begin(3, seeds[0])
+    forks.begin_run(3, seeds[0])
     origin = ForkOrigin(3, ((0, seeds[0]),))
     for level, seed in zip((0.003, 0.002), seeds[1:], strict=True):
-        assert forks.reach(level)[0]
-        forks.go_on(forks.fork(), seed)
+        assert forks.reach_level(level)[0]
+        forks.go_on(forks.fork_run(), seed)
         origin = ForkOrigin(3, (*origin.seeds, (forks.now, seed)))
-    assert forks.reach(0.0)[0] and 0 < origin.seeds[1][0] < origin.seeds[2][0] < forks.now
+    assert forks.reach_level(0.0)[0] and 0 < origin.seeds[1][0] < origin.seeds[2][0] < forks.now
     alone, case = Simulator(campaign), make_forked_case(campaign, origin)
     for done in alone.drive_run(case, 1):
         if done == forks.now:
             assert bits(alone) == bits(forks)
-    minimum = forks.reach(-math.inf)[1]
+    minimum = forks.reach_level(-math.inf)[1]
     assert alone.simulate_run(case).robustness["counts"] == pytest.approx(minimum, abs=1e-15)
     (outcomes,) = make_simulator(campaign).simulate_runs(Cases.stack_runs([case]))
     assert outcomes.robustness[0, 0] == pytest.approx(minimum, abs=1e-12)
@@ -191,7 +191,7 @@ def test_a_failure_of_forks_is_a_run_whose_noise_changes_after_its_start(tmp_pat
 def test_a_failure_is_replayed_and_shrunk_by_its_number(tmp_path):
     campaign, into = read(tmp_path, RARE), tmp_path / "results"
     results = Results(into, campaign)
-    findings = Splitter(campaign, results, WorkerPool(Here, 1.0, lambda _: None)).run()
+    findings = Splitter(campaign, results, WorkerPool(Here, 1.0, lambda _: None)).run_search()
     assert findings[2].title == "Failures" and len(findings[2].rows) == 10
     first, *_ = read_failures(results)
     assert findings[2].rows[0][:3] == (0, first.index, len(first.seeds) - 1)
@@ -232,16 +232,16 @@ class Here:
 def test_a_search_goes_on_and_has_the_same_end(tmp_path):
     campaign = read(tmp_path, RARE)
     results = Results(tmp_path / "results", campaign)
-    first = Splitter(campaign, results, WorkerPool(Here, 1.0, lambda _: None)).run()
+    first = Splitter(campaign, results, WorkerPool(Here, 1.0, lambda _: None)).run_search()
     for name in ("pilot", "0003"):  # as if it had been interrupted
         (results.folder / f"splitting/{name}.json").unlink()
     progress = []
     worker_pool = WorkerPool(Here, 1.0, lambda now: progress.append(now.done))
-    assert Splitter(campaign, results, worker_pool).run() == first
+    assert Splitter(campaign, results, worker_pool).run_search() == first
     assert len(progress) == 2, "what was there was not done again"
     damaged = results.folder / "splitting/0002.json"
     damaged.write_text(damaged.read_text().replace("0", "1"))
-    assert Splitter(campaign, results, worker_pool).run() == first
+    assert Splitter(campaign, results, worker_pool).run_search() == first
     assert len(progress) == 3 and (results.folder / "set_aside/0002.json").exists()
     ((name, mean, low, high, _),) = first[0].rows
     assert name == "counts" and low <= mean <= high
@@ -271,4 +271,4 @@ def test_a_search_goes_on_and_has_the_same_end(tmp_path):
 )
 def test_runs_that_cannot_be_split_are_refused(tmp_path, change, words):
     with pytest.raises(Refusal, match=words):
-        ForkingRun.check(read(tmp_path, DRIFTS | change))
+        ForkingRun.check_campaign(read(tmp_path, DRIFTS | change))

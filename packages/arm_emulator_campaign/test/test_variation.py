@@ -31,7 +31,9 @@ DISTRIBUTIONS = [
 def test_quantiles_are_those_of_scipy(text, truth):
     distribution = parse_distribution(text, "c", "x")
     for u in (1e-9, 0.01, 0.3, 0.5, 0.77, 0.999, 1 - 1e-9):
-        assert distribution.at(u, math.nan) == pytest.approx(truth.ppf(u), rel=1e-9, abs=1e-9)
+        assert distribution.evaluate_at(u, math.nan) == pytest.approx(
+            truth.ppf(u), rel=1e-9, abs=1e-9
+        )
         if distribution.share is not None:
             assert distribution.share(truth.ppf(u)) == pytest.approx(u, abs=1e-9)
 
@@ -44,19 +46,19 @@ def test_a_part_of_a_distribution_has_values_of_it_alone(text, truth):
         below, above = truth.cdf([first, last])
         for u in (1e-9, 0.3, 0.77, 1 - 1e-9):
             expected = truth.ppf(below + u * (above - below))
-            assert part.at(u, math.nan) == pytest.approx(expected, rel=1e-7, abs=1e-7)
+            assert part.evaluate_at(u, math.nan) == pytest.approx(expected, rel=1e-7, abs=1e-7)
         assert part.share(-1e9) == 0.0 and part.share(1e9) == 1.0
 
 
 def test_choices_and_mixtures_have_their_shares():
     u = (np.arange(10_000) + 0.5) / 10_000
     choice = parse_distribution("choice(1, 2, 5)", "c", "x")
-    values = [choice.at(level, 0.0) for level in u]
+    values = [choice.evaluate_at(level, 0.0) for level in u]
     assert [values.count(value) for value in (1.0, 2.0, 5.0)] == [3333, 3334, 3333]
     mixture = parse_distribution("nominal * mixture(3, uniform(0, 1), 1, uniform(9, 10))", "c", "x")
-    mixed = np.array([mixture.at(level, 2.0) for level in u])
+    mixed = np.array([mixture.evaluate_at(level, 2.0) for level in u])
     assert np.count_nonzero(mixed < 3.0) == 7500 and mixed.min() < 1e-3 and mixed.max() > 19.99
-    assert parse_distribution(4, "c", "x").at(0.3, 0.0) == 4.0
+    assert parse_distribution(4, "c", "x").evaluate_at(0.3, 0.0) == 4.0
 
 
 def variation(sampling, count, numbers=3, pairs=(), text="uniform(0, 1)"):

@@ -53,7 +53,7 @@ def work_of(kills, done_before_each):
 
     with Work(SimpleNamespace(where="campaign"), worker_pool, progress) as all_of_it:
         try:
-            all_of_it.complete(lambda killed: list(left), work)
+            all_of_it.complete_missing(lambda killed: list(left), work)
         finally:
             ended = [pool.ended for pool in pools]
     assert [pool.ended for pool in pools] == [1] * len(pools), "each ends, and once"

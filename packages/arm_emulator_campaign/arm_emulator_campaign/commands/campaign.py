@@ -205,7 +205,7 @@ def _count_workers(dask: str | None) -> int:
     try:
         return cluster.workers
     finally:
-        cluster.end()
+        cluster.end_workers()
 
 
 def _print_cost(definition: Campaign, seconds: float, ready: float, workers: int) -> None:
@@ -214,7 +214,7 @@ def _print_cost(definition: Campaign, seconds: float, ready: float, workers: int
     count = (
         definition.count
         if definition.search is None
-        else definition.search.runs(len(definition.variation.numbers))
+        else definition.search.count_runs(len(definition.variation.numbers))
     )
     size = count * len(list_column_units(definition)) * BYTES_PER_NUMBER
     wall = count * seconds / workers + ready
@@ -251,9 +251,9 @@ def _simulate_missing(
         worker_pool = WorkerPool(open_pool, seconds, report)
         try:
             if definition.search is not None and definition.search.forks:
-                return False, Splitter(definition, results, worker_pool).run()
+                return False, Splitter(definition, results, worker_pool).run_search()
             if definition.search is not None:
-                return False, Searcher(definition, results, worker_pool).run()
+                return False, Searcher(definition, results, worker_pool).run_search()
             run_campaign(definition, results, worker_pool)
         except KeyboardInterrupt:
             return True, []

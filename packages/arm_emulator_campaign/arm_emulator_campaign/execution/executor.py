@@ -53,7 +53,7 @@ def _complete_runs(
 ) -> None:
     """Simulate what is missing among the first `count` runs."""
 
-    def work(pool: Pool, missing: Sequence[tuple[int, int]], killed: int) -> None:
+    def simulate_missing(pool: Pool, missing: Sequence[tuple[int, int]], killed: int) -> None:
         left = sum(end - first for first, end in missing)
         size = size_chunk(left, pool.workers, max(1, worker_pool.largest >> killed))
         _simulate_chunks(
@@ -61,7 +61,7 @@ def _complete_runs(
         )
 
     with Work(campaign, worker_pool, progress) as all_of_it:
-        all_of_it.complete(lambda _: results.list_missing(count), work)
+        all_of_it.complete_missing(lambda _: results.list_missing(count), simulate_missing)
 
 
 def _simulate_chunks(
@@ -82,7 +82,7 @@ def _simulate_chunks(
             return
         done, waiting = wait_for_any(pool, waiting)
         for future in done:
-            progress.add(future.result())
+            progress.add_result(future.result())
         worker_pool.report(progress)
         if progress.is_late(campaign.stop.seconds):
             return

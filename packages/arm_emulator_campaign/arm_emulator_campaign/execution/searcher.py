@@ -57,13 +57,13 @@ class Searcher:
         self._outputs += [f"{MEASURE}{name}" for name in campaign.measures]
         self._varying = [number.name for number in campaign.variation.numbers]
         self._next = 0
-        columns = self._read()
+        columns = self._read_results()
         failures = count_failures(campaign, columns, 2**62)
-        count = self._method.runs(len(self._varying))
+        count = self._method.count_runs(len(self._varying))
         self._progress = CampaignProgress(count, len(self._place_of_run), failures=failures)
         self._work = Work(campaign, worker_pool, self._progress)
 
-    def run(self) -> list[Finding]:
+    def run_search(self) -> list[Finding]:
         """Search to the end; return what was found, which is written beside the results, too.
 
         Raises:
@@ -73,7 +73,7 @@ class Searcher:
         requirements, seed = self._campaign.requirements, int.from_bytes(self._campaign.key[16:24])
         names = self._outputs if self._method.every else [self._method.of or ANY]
         names = [name.removeprefix(ROBUSTNESS) for name in names]
-        sampler = self._method.sampler(self._varying, names, seed)
+        sampler = self._method.make_sampler(self._varying, names, seed)
         try:
             points = next(sampler)
             while True:
@@ -86,11 +86,11 @@ class Searcher:
         except StopIteration as end:
             findings: list[Finding] = end.value
         finally:
-            self._work.end()
+            self._work.end_processes()
         write_findings(self._results, findings)
         return findings
 
-    def _read(self) -> dict[str, NDArray[Any]]:
+    def _read_results(self) -> dict[str, NDArray[Any]]:
         """Take the runs that are done from the results, and return their columns."""
         columns = self._results.collect_columns()
         self._place_of_run = {int(index): place for place, index in enumerate(columns[INDEX])}
@@ -103,18 +103,18 @@ class Searcher:
         first, self._next = self._next, self._next + len(points)
         outputs = np.full((len(points), len(self._outputs)), math.nan)
 
-        def missing(killed: int) -> list[tuple[int, int]]:
+        def list_missing(killed: int) -> list[tuple[int, int]]:
             if killed:
-                self._read()
-            return self._fill(first, points, outputs)
+                self._read_results()
+            return self._fill_outputs(first, points, outputs)
 
-        def work(pool: Pool, left: Sequence[tuple[int, int]], _: int) -> None:
-            self._simulate(pool, first, points, left, outputs)
+        def simulate_missing(pool: Pool, left: Sequence[tuple[int, int]], _: int) -> None:
+            self._simulate_missing(pool, first, points, left, outputs)
 
-        self._work.complete(missing, work)
+        self._work.complete_missing(list_missing, simulate_missing)
         return outputs
 
-    def _fill(self, first: int, points: Array, outputs: Array) -> list[tuple[int, int]]:
+    def _fill_outputs(self, first: int, points: Array, outputs: Array) -> list[tuple[int, int]]:
         """Fill in outputs that are known; return the runs that are missing, as ranges."""
         gaps: list[tuple[int, int]] = []
         values = self._campaign.variation.place_values(points)
@@ -132,7 +132,7 @@ class Searcher:
             outputs[k] = self._stored_outputs[place]
         return gaps
 
-    def _simulate(
+    def _simulate_missing(
         self,
         pool: Pool,
         first: int,
@@ -154,5 +154,5 @@ class Searcher:
             at = waiting[future] - first
             assert done.outputs is not None
             outputs[at : at + done.runs] = done.outputs
-            self._progress.add(done)
+            self._progress.add_result(done)
             self._worker_pool.report(self._progress)

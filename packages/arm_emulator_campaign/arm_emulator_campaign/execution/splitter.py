@@ -48,28 +48,28 @@ class Splitter:
         self._worker_pool = worker_pool
         self._folder = results.folder / FOLDER
         self._folder.mkdir(exist_ok=True)
-        count = self._method.runs(len(campaign.variation.numbers))
+        count = self._method.count_runs(len(campaign.variation.numbers))
         self._progress = CampaignProgress(count, 0, failures=[0] * (len(campaign.requirements) + 1))
 
-    def run(self) -> list[Finding]:
+    def run_search(self) -> list[Finding]:
         """Search to the end; return what was found, which is written beside the results, too.
 
         Raises:
             Refusal: a run that is not taken, or workers that end again and again.
             KeyboardInterrupt: after what was done has been written.
         """
-        ForkingRun.check(self._campaign)
-        self._complete([PILOT])
+        ForkingRun.check_campaign(self._campaign)
+        self._complete_repetitions([PILOT])
         key = self._campaign.key
         pilot = _read_content(_name_file(self._folder, PILOT), key)
         repetitions: list[SplittingRepetition] = []
         if pilot["leads"]:
             numbers = range(1, 1 + int(self._method.repetitions))
-            self._complete(list(numbers))
+            self._complete_repetitions(list(numbers))
             repetitions = [
                 _read_repetition(_name_file(self._folder, number), key) for number in numbers
             ]
-        findings = [self._method.finding(self._method.of, pilot["levels"], repetitions)]
+        findings = [self._method.make_finding(self._method.of, pilot["levels"], repetitions)]
         if repetitions:
             findings.append(self._method.list_levels(pilot["levels"], repetitions))
             findings.append(self._list_first_failures(_list_failures(repetitions)))
@@ -103,21 +103,21 @@ class Splitter:
             return self._results.set_aside(file, str(error))
         return True
 
-    def _complete(self, numbers: list[int]) -> None:
+    def _complete_repetitions(self, numbers: list[int]) -> None:
         """Have the repetitions done that are not."""
         of_all = str(self._campaign.file.absolute()), self._campaign.key, str(self._folder)
 
-        def missing(_: int) -> list[int]:
+        def list_missing(_: int) -> list[int]:
             return [number for number in numbers if not self._is_done(number)]
 
-        def work(pool: Pool, left: Sequence[int], _: int) -> None:
+        def run_missing(pool: Pool, left: Sequence[int], _: int) -> None:
             futures = [pool.submit(run_repetition, *of_all, k) for k in left]
             for future in iterate_completed(pool, futures):
-                self._progress.add(future.result())
+                self._progress.add_result(future.result())
                 self._worker_pool.report(self._progress)
 
         with Work(self._campaign, self._worker_pool, self._progress) as repetitions:
-            repetitions.complete(missing, work)
+            repetitions.complete_missing(list_missing, run_missing)
 
 
 def read_failures(results: Results) -> list[ForkOrigin]:

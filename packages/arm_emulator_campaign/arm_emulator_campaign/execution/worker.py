@@ -161,13 +161,13 @@ def follow_parent(parent: int) -> None:
     """
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _end)
+    signal.signal(signal.SIGTERM, _end_worker)
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:
         sys.exit(0)
 
 
-def _end(signal_number: int, frame: object) -> None:
+def _end_worker(signal_number: int, frame: object) -> None:
     _requests["end"] = True
     if not _requests["busy"]:
         os._exit(0)

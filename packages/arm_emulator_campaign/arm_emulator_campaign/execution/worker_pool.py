@@ -47,10 +47,10 @@ class LocalPool(cf.ProcessPoolExecutor):
             workers, spawned, initializer=begin_worker, initargs=(os.getpid(), device_queue)
         )
 
-    def check(self) -> None:
+    def check_scheduler(self) -> None:
         """Do nothing: the futures of a process that was killed end by themselves."""
 
-    def end(self) -> None:
+    def end_workers(self) -> None:
         """Let all workers write finished runs, and end them."""
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
@@ -105,10 +105,10 @@ class DaskPool:
         """Number given, or of the cluster's threads, asked now and then; at least 1."""
         if self._fixed_workers is not None:
             return self._fixed_workers
-        self.check()
+        self.check_scheduler()
         return self._threads
 
-    def check(self) -> None:
+    def check_scheduler(self) -> None:
         """Ask the scheduler now and then whether it still is the one that has the tasks.
 
         A client may miss that its scheduler was replaced, and then waits for ever.
@@ -140,7 +140,7 @@ class DaskPool:
         future: cf.Future[Any] = self._executor.submit(*call)
         return future
 
-    def end(self) -> None:
+    def end_workers(self) -> None:
         """Leave the cluster."""
         self._executor.shutdown(wait=False)
         self._client.close()
@@ -157,7 +157,7 @@ def wait_for_any(
     Raises:
         Exception: one of `pool.breaks`, if the pool cannot complete them.
     """
-    pool.check()
+    pool.check_scheduler()
     done, others = cf.wait(waiting, timeout=0.5, return_when=cf.FIRST_COMPLETED)
     return done, others
 
@@ -194,7 +194,7 @@ class CampaignProgress:
     failures: list[int] = field(default_factory=list)
     began: float = field(default_factory=time.monotonic)
 
-    def add(self, done: Done) -> None:
+    def add_result(self, done: Done) -> None:
         """Count the result of a chunk."""
         self.done += done.runs
         pairs = zip(self.failures, done.failures, strict=True)
@@ -253,7 +253,7 @@ class Work:
         self._campaign, self._worker_pool, self._progress = campaign, worker_pool, progress
         self._pool: Pool | None = None
 
-    def complete(
+    def complete_missing(
         self,
         missing: Callable[[int], Sequence[Left]],
         work: Callable[[Pool, Sequence[Left], int], None],
@@ -272,19 +272,19 @@ class Work:
             except pool.breaks:
                 killed += 1
                 breaks = breaks + 1 if self._progress.done == before else 0
-                self.end()
+                self.end_processes()
             if breaks >= MAX_BREAKS:
                 where, ended = self._campaign.where, f"ended {breaks} times"
                 raise Refusal(where, "workers", "not end by themselves", ended)
 
-    def end(self) -> None:
+    def end_processes(self) -> None:
         """End the processes."""
         pool, self._pool = self._pool, None
         if pool is not None:
-            pool.end()
+            pool.end_workers()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.end()
+        self.end_processes()

@@ -39,7 +39,7 @@ class Distribution:
     levels: int = 0
     relative: str = ""
 
-    def at(self, u: ArrayLike, nominal: float) -> Array:
+    def evaluate_at(self, u: ArrayLike, nominal: float) -> Array:
         """Return the value of each number within (0, 1)."""
         shares = np.asarray(u, np.float64)
         with np.errstate(over="ignore"):  # what varies refuses a value that is not finite
@@ -82,14 +82,14 @@ def _check_order(low: float, high: float) -> None:
         raise _Bad("have its low end below its high end", f"{low:g}, {high:g}")
 
 
-def uniform(low: float, high: float) -> Distribution:
+def make_uniform(low: float, high: float) -> Distribution:
     """Evenly between two ends."""
     _check_order(low, high)
     width = high - low
     return Distribution("", lambda u: low + width * u, lambda x: _clip_share((x - low) / width))
 
 
-def loguniform(low: float, high: float) -> Distribution:
+def make_loguniform(low: float, high: float) -> Distribution:
     """The logarithm evenly between those of two ends."""
     _check_above("low", low)
     _check_order(low, high)
@@ -101,7 +101,7 @@ def loguniform(low: float, high: float) -> Distribution:
     )
 
 
-def normal(mean: float, sigma: float) -> Distribution:
+def make_normal(mean: float, sigma: float) -> Distribution:
     """Mean and standard deviation."""
     _check_above("sigma", sigma)
     return Distribution(
@@ -111,7 +111,7 @@ def normal(mean: float, sigma: float) -> Distribution:
     )
 
 
-def lognormal(mean: float, sigma: float) -> Distribution:
+def make_lognormal(mean: float, sigma: float) -> Distribution:
     """Mean of the values, and standard deviation of their logarithms."""
     _check_above("mean", mean)
     _check_above("sigma", sigma)
@@ -123,27 +123,27 @@ def lognormal(mean: float, sigma: float) -> Distribution:
     )
 
 
-def triangular(low: float, mode: float, high: float) -> Distribution:
+def make_triangular(low: float, mode: float, high: float) -> Distribution:
     """Density of a triangle."""
     _check_order(low, high)
     if not low <= mode <= high:
         raise _Bad("have its mode between its ends", mode)
     width, left, right = high - low, mode - low, high - mode
 
-    def quantile(u: Array) -> Array:
+    def compute_quantile(u: Array) -> Array:
         is_left = u * width < left
         first, last = u * width * left, (1.0 - u) * width * right
         return np.where(is_left, low + np.sqrt(first), high - np.sqrt(last))
 
-    def share(x: float) -> float:
+    def compute_share(x: float) -> float:
         if x <= mode:
             return max(0.0, x - low) ** 2 / (width * left) if left else 0.0
         return 1.0 - (high - x) ** 2 / (width * right) if x < high else 1.0
 
-    return Distribution("", quantile, share)
+    return Distribution("", compute_quantile, compute_share)
 
 
-def exponential(mean: float) -> Distribution:
+def make_exponential(mean: float) -> Distribution:
     """Mean of the values, which begin at 0."""
     _check_above("mean", mean)
     return Distribution(
@@ -153,7 +153,7 @@ def exponential(mean: float) -> Distribution:
     )
 
 
-def weibull(shape: float, scale: float) -> Distribution:
+def make_weibull(shape: float, scale: float) -> Distribution:
     """Shape and scale."""
     _check_above("shape", shape)
     _check_above("scale", scale)
@@ -165,7 +165,7 @@ def weibull(shape: float, scale: float) -> Distribution:
     )
 
 
-def beta(a: float, b: float, low: float = 0.0, high: float = 1.0) -> Distribution:
+def make_beta(a: float, b: float, low: float = 0.0, high: float = 1.0) -> Distribution:
     """Beta distribution between two ends."""
     _check_above("a", a)
     _check_above("b", b)
@@ -178,7 +178,7 @@ def beta(a: float, b: float, low: float = 0.0, high: float = 1.0) -> Distributio
     )
 
 
-def truncated(of: Distribution, low: float, high: float) -> Distribution:
+def make_truncated(of: Distribution, low: float, high: float) -> Distribution:
     """Part of a distribution between two ends."""
     _check_order(low, high)
     if of.share is None:
@@ -189,15 +189,15 @@ def truncated(of: Distribution, low: float, high: float) -> Distribution:
         raise _Bad(rule, f"{of.text} within {low:g} and {high:g}")
     width, share = last - first, of.share
 
-    def quantile(u: Array) -> Array:
+    def compute_quantile(u: Array) -> Array:
         values = of.quantile(first + width * u)
         values = np.where(values > low, values, low)
         return np.where(values < high, values, high)
 
-    return Distribution("", quantile, lambda x: _clip_share((share(x) - first) / width))
+    return Distribution("", compute_quantile, lambda x: _clip_share((share(x) - first) / width))
 
 
-def choice(*values: float) -> Distribution:
+def make_choice(*values: float) -> Distribution:
     """One of some values, each as often."""
     if not values:
         raise _Bad("have a value", "none")
@@ -210,7 +210,7 @@ def _find_level(u: Array, levels: int) -> NDArray[np.int64]:
     return np.minimum((u * levels).astype(np.int64), levels - 1)
 
 
-def mixture(*pairs: float | Distribution) -> Distribution:
+def make_mixture(*pairs: float | Distribution) -> Distribution:
     """Weights, each followed by its distribution."""
     weights, parts = pairs[::2], pairs[1::2]
     if not len(weights) == len(parts) > 0:
@@ -218,7 +218,7 @@ def mixture(*pairs: float | Distribution) -> Distribution:
     sizes = [_check_above("weights", weight) for weight in weights if isinstance(weight, float)]
     shares = [size / math.fsum(sizes) for size in sizes]
 
-    def quantile(u: Array) -> Array:
+    def compute_quantile(u: Array) -> Array:
         values, left, open_places = np.empty_like(u), u, np.arange(len(u))
         for weight, part in zip(shares[:-1], parts[:-1], strict=True):
             here = left < weight
@@ -229,10 +229,10 @@ def mixture(*pairs: float | Distribution) -> Distribution:
         values[open_places] = parts[-1].quantile(inside)  # type: ignore[union-attr]
         return values
 
-    return Distribution("", quantile)
+    return Distribution("", compute_quantile)
 
 
-def grid(low: float, high: float, count: float) -> Distribution:
+def make_grid(low: float, high: float, count: float) -> Distribution:
     """Evenly spaced values from end to end, each combined with those of all other grids."""
     if not (count >= 2 and count == int(count) and count <= 10**6):
         raise _Bad("have a whole number of values from 2 to 1e6", count)
@@ -249,8 +249,8 @@ def grid(low: float, high: float, count: float) -> Distribution:
 KINDS: dict[str, Callable[..., Distribution]] = {
     function.__name__: function
     for function in (
-        uniform, loguniform, normal, lognormal, triangular, exponential, weibull, beta,
-        truncated, choice, mixture, grid,
+        make_uniform, make_loguniform, make_normal, make_lognormal, make_triangular, make_exponential, make_weibull, make_beta,
+        make_truncated, make_choice, make_mixture, make_grid,
     )
 }  # fmt: skip
 

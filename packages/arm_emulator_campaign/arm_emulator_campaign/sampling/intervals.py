@@ -72,13 +72,13 @@ def bound_mean(p: NDArray[np.float64], confidence: float) -> tuple[float, float]
     if zeros:  # the logarithm of the share that is not 0
         shift = np.log(special.betaincinv(n + 0.5, zeros + 0.5, special.ndtr(scores)))
 
-    def below(x: float) -> float:
+    def compute_probability(x: float) -> float:
         """Return the pivot's distribution function."""
         inner = special.ndtr((x - shift[:, None] - centre) / width) @ weights
         return float(inner @ weights) if zeros else float(inner[0])
 
     tail = 0.5 * (1.0 - confidence)
-    return _invert_pivot(below, tail), _invert_pivot(below, 1.0 - tail)
+    return _invert_pivot(compute_probability, tail), _invert_pivot(compute_probability, 1.0 - tail)
 
 
 def _invert_pivot(below: Callable[[float], float], share: float) -> float:

@@ -46,7 +46,7 @@ def _draw_words(key: int, indices: NDArray[np.int64], blocks: int) -> Words:
     even[0], odd[1] = np.arange(1, blocks + 1, dtype=np.uint64), indices.astype(np.uint64)[:, None]
     keys = [key % 2**64, key >> 64]
     for _ in range(ROUNDS):
-        high, low = _multiply(even)
+        high, low = _multiply_words(even)
         even = high[::-1]
         even ^= odd
         even ^= np.array(keys, np.uint64)[:, None, None]
@@ -55,7 +55,7 @@ def _draw_words(key: int, indices: NDArray[np.int64], blocks: int) -> Words:
     return np.stack([even[0], odd[0], even[1], odd[1]], axis=-1)
 
 
-def _multiply(words: Words) -> tuple[Words, Words]:
+def _multiply_words(words: Words) -> tuple[Words, Words]:
     """Return the high and the low half of the products of words (2, ...) and the multipliers."""
     low, high = words & _LOW, words >> _HALF
     carry = low * _FACTOR_LOW

@@ -107,15 +107,15 @@ class Variation:
 
     def place_values(self, z: Array) -> Array:
         """Return the values at points of independent standard normal numbers, (K, D) each."""
-        return self._take_quantiles(self._shares(np.asarray(z, np.float64)))
+        return self._take_quantiles(self._compute_shares(np.asarray(z, np.float64)))
 
     def _take_quantiles(self, shares: Array) -> Array:
         values = np.empty_like(shares)
         for place, number in enumerate(self.numbers):
-            values[:, place] = number.distribution.at(shares[:, place], number.nominal)
+            values[:, place] = number.distribution.evaluate_at(shares[:, place], number.nominal)
         return values
 
-    def _shares(self, z: Array) -> Array:
+    def _compute_shares(self, z: Array) -> Array:
         """Return what share of each number's values lies below its value at points (K, D)."""
         scores = z.copy()
         if self._mixed is not None:
@@ -130,7 +130,7 @@ class Variation:
         if self._free:
             u[:, self._free] = np.clip(self._draw_free_points(indices, uniform), _FIRST, _LAST)
         if self._mixed is not None:
-            u[:, self._free] = self._shares(special.ndtri(u))[:, self._free]
+            u[:, self._free] = self._compute_shares(special.ndtri(u))[:, self._free]
         rest = indices
         for place in reversed(self._grids):
             levels = self.numbers[place].distribution.levels

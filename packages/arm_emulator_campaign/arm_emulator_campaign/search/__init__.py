@@ -39,7 +39,7 @@ def read_method(root: Section, variation: Variation) -> Method | None:
         valid = "no `of`: it judges all" if kind.every else ", ".join(names)
         raise section.make_refusal("of", "name a requirement that is searched for", of, valid)
     method = kind(of=of, **section.read_numbers(kind))
-    method.check(section, variation)
+    method.check_campaign(section, variation)
     section.refuse_unread_keys()
     if kind.package:
         require_package(f"{root.where}: search.method {name}", *kind.package)

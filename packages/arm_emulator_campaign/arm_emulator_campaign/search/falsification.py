@@ -28,15 +28,15 @@ class Falsification(Method):
         default=0.0, ends=(-1e300, 1e300), text="margin below which it is content and ends"
     )
 
-    def runs(self, D: int) -> int:
+    def count_runs(self, D: int) -> int:
         """Return how many runs it takes at most."""
         return int(self.most)
 
-    def _ask(self, minimum: _LowestMargin, points: Array) -> Any:
+    def _ask_margins(self, minimum: _LowestMargin, points: Array) -> Any:
         """Yield points to run, as many as are left; return their margins."""
-        points = points[: self.runs(0) - minimum.runs]
+        points = points[: self.count_runs(0) - minimum.runs]
         margins = (yield points)[:, 0]
-        minimum.take(margins)
+        minimum.take_margins(margins)
         return np.maximum(np.nan_to_num(margins, nan=WORST), WORST)
 
     def _is_over(self, minimum: _LowestMargin) -> bool:
@@ -49,14 +49,14 @@ class _LowestMargin:
     def __init__(self) -> None:
         self.runs, self.failed, self.run, self.margin = 0, 0, -1, np.inf
 
-    def take(self, margins: Array) -> None:
+    def take_margins(self, margins: Array) -> None:
         at = int(np.argmin(margins))
         if margins[at] < self.margin or np.isnan(margins[at]):
             self.run, self.margin = self.runs + at, float(margins[at])
         self.failed += int(np.count_nonzero(~(margins >= 0.0)))
         self.runs += len(margins)
 
-    def finding(self, kind: str, of: str) -> Finding:
+    def make_finding(self, kind: str, of: str) -> Finding:
         failures = f"{self.failed} of {self.runs} runs fail" if self.failed else "no run fails"
         return Finding(
             "Falsification",
@@ -73,13 +73,13 @@ class CmaEs(Falsification):
     kind: ClassVar[str] = "cma-es"
     package: ClassVar[tuple[str, ...]] = ("cma", "cma")
 
-    def check(self, section: Section, variation: Variation) -> None:
+    def check_campaign(self, section: Section, variation: Variation) -> None:
         """Refuse fewer than two numbers."""
         if len(variation.numbers) < 2:
             rule = "have at least two numbers that vary"
             raise section.make_refusal("method", rule, len(variation.numbers), "bayes")
 
-    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
+    def make_sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
         """Return its course."""
         from cma import CMAEvolutionStrategy
 
@@ -92,11 +92,11 @@ class CmaEs(Falsification):
             })  # fmt: skip
             while not (self._is_over(minimum) or evolution.stop()):
                 points = np.array(evolution.ask())
-                margins = yield from self._ask(minimum, points)
+                margins = yield from self._ask_margins(minimum, points)
                 if len(margins) == len(points):
                     evolution.tell(list(points), margins.tolist())
             size, begin = 2 * size, rng.uniform(-self.within, self.within, D)
-        return [minimum.finding(self.kind, outputs[0])]
+        return [minimum.make_finding(self.kind, outputs[0])]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +111,7 @@ class Bayes(Falsification):
         text="runs between two looks at their margins; they can be simulated side by side"
     )  # fmt: skip
 
-    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
+    def make_sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
         """Return its course."""
         import optuna
 
@@ -125,7 +125,7 @@ class Bayes(Falsification):
         while not self._is_over(minimum):
             trials = [study.ask(dict.fromkeys(names, each)) for _ in range(int(self.at_once))]
             points = np.array([[proposal.params[name] for name in names] for proposal in trials])
-            margins = yield from self._ask(minimum, points)
+            margins = yield from self._ask_margins(minimum, points)
             for trial, margin in zip(trials, margins.tolist(), strict=False):
                 study.tell(trial, margin)
-        return [minimum.finding(self.kind, outputs[0])]
+        return [minimum.make_finding(self.kind, outputs[0])]

@@ -69,16 +69,16 @@ class Method:
 
     of: str = ""
 
-    def check(self, section: Section, variation: Variation) -> None:
+    def check_campaign(self, section: Section, variation: Variation) -> None:
         """Refuse a campaign that it cannot search."""
         if not variation.numbers:
             raise section.make_refusal("method", "have numbers that vary", "none")
 
-    def runs(self, D: int) -> int:
+    def count_runs(self, D: int) -> int:
         """Return how many runs it takes at most."""
         raise NotImplementedError
 
-    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
+    def make_sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
         """Return its course.
 
         Args:

@@ -24,9 +24,9 @@ class Sensitivity(Method):
     package: ClassVar[tuple[str, ...]] = ("SALib", "SALib")
     every: ClassVar[bool] = True
 
-    def check(self, section: Section, variation: Variation) -> None:
+    def check_campaign(self, section: Section, variation: Variation) -> None:
         """Refuse numbers that are not independent."""
-        super().check(section, variation)
+        super().check_campaign(section, variation)
         if variation.correlation is not None:
             rule = "have independent numbers, for which its indices are defined"
             raise section.make_refusal("method", rule, "correlate", "a file without correlate")
@@ -65,17 +65,17 @@ class Sobol(Sensitivity):
         text="points of its sequence, a power of two; it runs D + 2 times as many for D numbers"
     )  # fmt: skip
 
-    def check(self, section: Section, variation: Variation) -> None:
+    def check_campaign(self, section: Section, variation: Variation) -> None:
         """Refuse a base for which its sequence is not balanced."""
-        super().check(section, variation)
+        super().check_campaign(section, variation)
         if int(self.base) & (int(self.base) - 1):
             raise section.make_refusal("base", "be a power of two", int(self.base))
 
-    def runs(self, D: int) -> int:
+    def count_runs(self, D: int) -> int:
         """Return how many runs it takes."""
         return int(self.base) * (D + 2)
 
-    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
+    def make_sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
         """Return its course."""
         from SALib.analyze import sobol as analysis
         from SALib.sample import sobol as sampling
@@ -85,7 +85,7 @@ class Sobol(Sensitivity):
         u = sampling.sample(problem, int(self.base), calc_second_order=False, seed=seed)
         values = yield _compute_scores(u)
 
-        def rows(of: Array) -> Sequence[tuple[str | float, ...]]:
+        def compute_rows(of: Array) -> Sequence[tuple[str | float, ...]]:
             # Of a large mean SALib's estimate keeps few digits.
             centred = (of - of.mean()) / of.std()
             indices = analysis.analyze(
@@ -95,7 +95,9 @@ class Sobol(Sensitivity):
 
         about = f"Shares of the variance, {self.runs(len(names))} runs, +- at {CONFIDENCE:.0%}."
         head = ("in all", "+- in all", "alone", "+- alone")
-        return self._make_findings(rows, dict(zip(outputs, values.T, strict=True)), about, head)
+        return self._make_findings(
+            compute_rows, dict(zip(outputs, values.T, strict=True)), about, head
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,13 +114,13 @@ class Morris(Sensitivity):
         ends=(4, 64), whole=True, default=4, text="of each number, an even count"
     )
 
-    def check(self, section: Section, variation: Variation) -> None:
+    def check_campaign(self, section: Section, variation: Variation) -> None:
         """Refuse an odd count of levels."""
-        super().check(section, variation)
+        super().check_campaign(section, variation)
         if int(self.levels) % 2:
             raise section.make_refusal("levels", "be even", int(self.levels))
 
-    def runs(self, D: int) -> int:
+    def count_runs(self, D: int) -> int:
         """Return how many runs it takes."""
         return int(self.trajectories) * (D + 1)
 
@@ -127,7 +129,7 @@ class Morris(Sensitivity):
         """Part of the range between the outer quantiles that a step spans, as Morris chose it."""
         return 0.5 * self.levels / (self.levels - 1.0)
 
-    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
+    def make_sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
         """Return its course."""
         from SALib.analyze import morris as analysis
         from SALib.sample import morris as sampling
@@ -137,7 +139,7 @@ class Morris(Sensitivity):
         u = sampling.sample(problem, int(self.trajectories), num_levels=levels, seed=seed)
         values = yield _compute_scores(u)
 
-        def rows(of: Array) -> Sequence[tuple[str | float, ...]]:
+        def compute_rows(of: Array) -> Sequence[tuple[str | float, ...]]:
             indices = analysis.analyze(
                 problem, u, of, num_levels=levels, conf_level=CONFIDENCE, seed=seed
             )
@@ -151,7 +153,9 @@ class Morris(Sensitivity):
             f"{self.runs(len(names))} runs, +- at {CONFIDENCE:.0%}."
         )
         head = ("size", "+- size", "mean", "spread")
-        return self._make_findings(rows, dict(zip(outputs, values.T, strict=True)), about, head)
+        return self._make_findings(
+            compute_rows, dict(zip(outputs, values.T, strict=True)), about, head
+        )
 
 
 def _make_problem(names: Sequence[str], tail: float) -> dict[str, Any]:

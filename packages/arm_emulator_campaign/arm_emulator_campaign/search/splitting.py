@@ -36,19 +36,19 @@ class Process(Protocol[State]):
     def now(self) -> int:
         """The present tick."""
 
-    def begin(self, index: int, seed: int) -> None:
+    def begin_run(self, index: int, seed: int) -> None:
         """Begin a run."""
 
     def go_on(self, state: State, seed: int) -> None:
         """Continue from a fork, with other random numbers."""
 
-    def reach(self, level: float) -> tuple[bool, float]:
+    def reach_level(self, level: float) -> tuple[bool, float]:
         """Advance until the margin is at most `level`, or to the end of the run.
 
         At level 0 the margin must be below it. Returns whether it is, and the margin.
         """
 
-    def fork(self) -> State:
+    def fork_run(self) -> State:
         """Return the present state."""
 
 
@@ -101,14 +101,14 @@ class Splitting(ByLevels):
         "s", above=0.0, at_most=100.0, default=0.01, text="after which a run is looked at"
     )
 
-    def check(self, section: Section, variation: Variation) -> None:
+    def check_campaign(self, section: Section, variation: Variation) -> None:
         """Refuse a search without one requirement; numbers need not vary, noise suffices."""
         if not self.of:
             raise section.make_refusal(
                 "of", "name the requirement whose margin leads to it", "nothing"
             )
 
-    def runs(self, D: int) -> int:
+    def count_runs(self, D: int) -> int:
         """Return how many runs, or parts of runs, it takes at most."""
         return int((self.repetitions + 1) * self.per_level) * (self._levels + 1)
 
@@ -122,7 +122,7 @@ class Splitting(ByLevels):
             lowest = np.empty(N)
             for k in range(N):
                 _set_run(process, starts, k, seeds)
-                lowest[k] = process.reach(-math.inf)[1]
+                lowest[k] = process.reach_level(-math.inf)[1]
             if np.count_nonzero(lowest < 0.0) >= required:
                 return levels, True
             level = max(0.0, float(np.sort(lowest)[required - 1]))
@@ -136,8 +136,8 @@ class Splitting(ByLevels):
             for k in range(N):  # the same runs once more, to the level
                 if lowest[k] <= level:
                     origin = _set_run(process, starts, k, seeds)
-                    process.reach(level)
-                    reached.append((process.fork(), origin))
+                    process.reach_level(level)
+                    reached.append((process.fork_run(), origin))
             starts = [reached[k] for k in choose_places(N, len(reached), rng)]
 
     def run_repetition(
@@ -159,8 +159,8 @@ class Splitting(ByLevels):
             for k in range(N):
                 origin = _set_run(process, starts, k, seeds, first)
                 runs += 1
-                if process.reach(level)[0]:
-                    reached.append((None if level == 0.0 else process.fork(), origin))
+                if process.reach_level(level)[0]:
+                    reached.append((None if level == 0.0 else process.fork_run(), origin))
             shares.append(len(reached) / N)
             if not reached:
                 break
@@ -170,7 +170,7 @@ class Splitting(ByLevels):
                 starts = [reached[k] for k in choose_places(N, len(reached), rng)]
         return SplittingRepetition(math.prod(shares), runs, shares, failures)
 
-    def finding(
+    def make_finding(
         self, of: str, levels: Sequence[float], repetitions: Sequence[SplittingRepetition]
     ) -> Finding:
         """Return what repetitions have found."""
@@ -219,7 +219,7 @@ def _set_run(
 ) -> ForkOrigin:
     """Begin a run, or continue from one of the starts; return from what it follows."""
     if not starts:
-        process.begin(first + k, seeds[k])
+        process.begin_run(first + k, seeds[k])
         return ForkOrigin(first + k, ((0, seeds[k]),))
     state, before = starts[k]
     process.go_on(state, seeds[k])

@@ -43,18 +43,18 @@ class Subset(ByLevels):
         ends=(0.01, 0.5), default=0.1, text="of a level's runs from which the next begins"
     )
 
-    def check(self, section: Section, variation: Variation) -> None:
+    def check_campaign(self, section: Section, variation: Variation) -> None:
         """Refuse levels without chains."""
-        super().check(section, variation)
+        super().check_campaign(section, variation)
         if self.share * self.per_level < 2.0:
             rule = f"leave two chains a level, {2.0 / self.share:g} runs"
             raise section.make_refusal("per_level", rule, int(self.per_level))
 
-    def runs(self, D: int) -> int:
+    def count_runs(self, D: int) -> int:
         """Return how many runs it takes at most."""
         return int((self.repetitions + 2) * self.per_level) * (self._levels + 1)
 
-    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
+    def make_sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
         """Return its course."""
         rng, D, N = np.random.default_rng(seed), len(names), int(self.per_level)
         chains = round(self.share * N)

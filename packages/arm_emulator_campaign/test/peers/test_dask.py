@@ -25,7 +25,7 @@ pytest.importorskip("distributed", reason="Dask: pip install distributed")
 def cluster():
     dask_cluster = Cluster()
     yield dask_cluster
-    dask_cluster.end()
+    dask_cluster.end_processes()
 
 
 @pytest.fixture
@@ -65,8 +65,8 @@ def test_a_campaign_takes_all_workers_of_a_cluster(cluster):
             time.sleep(0.1)
         assert every.workers == WORKERS and limited.workers == 7
     finally:
-        limited.end()
-        every.end()
+        limited.end_workers()
+        every.end_workers()
 
 
 def test_a_pool_notices_that_its_scheduler_was_replaced(cluster, monkeypatch):
@@ -79,8 +79,8 @@ def test_a_pool_notices_that_its_scheduler_was_replaced(cluster, monkeypatch):
     try:
         future = pool.submit(time.sleep, 3600.0)
         monkeypatch.setattr(FutureState, "cancel", lambda *_, **__: None)
-        cluster.kill("scheduler", None, np.random.default_rng(7))
+        cluster.kill_process("scheduler", None, np.random.default_rng(7))
         with pytest.raises(pool.breaks, match="another scheduler"):
             list(iterate_completed(pool, [future]))
     finally:
-        pool.end()
+        pool.end_workers()
