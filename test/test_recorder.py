@@ -208,7 +208,7 @@ def in_lock_step(file: Path) -> tuple[Plant, Callable[[], None]]:
 
 def on_canopen(file: Path) -> tuple[Plant, Callable[[], None]]:
     segment = load_segment("three_axis")
-    return segment.drives.plant, lambda: segment.drives.period(500)
+    return segment.drives.plant, lambda: segment.drives.advance_periods(500)
 
 
 def on_ethercat(file: Path) -> tuple[Plant, Callable[[], None]]:
@@ -218,7 +218,7 @@ def on_ethercat(file: Path) -> tuple[Plant, Callable[[], None]]:
 
     def go() -> None:
         for k in range(1, 201):
-            segment.period(k * 1_000_000)
+            segment.pass_period(k * 1_000_000)
 
     return segment.drives.plant, go
 

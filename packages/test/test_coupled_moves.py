@@ -197,7 +197,7 @@ def test_targets_of_drives_are_those_of_shafts(machine: Machine) -> None:
     per_count = 2.0 * np.pi * scene.gear_ratios / [joint.counts_per_turn for joint in scene.joints]
     joints = range(len(scene.joints))
     enable(drives, CSP)
-    drives.period(500)
+    drives.advance_periods(500)
     begun = np.array([drives.read(j, TARGET) for j in joints])
     assert begun * per_count == pytest.approx(truth(drives, "q"), abs=0.02)
     for j in joints:
@@ -207,8 +207,8 @@ def test_targets_of_drives_are_those_of_shafts(machine: Machine) -> None:
         goal = begun[j] + round(0.1 / per_count[j])
         for k in range(1, 401):
             drives.write(j, TARGET, begun[j] + round(0.1 * k / 400 / per_count[j]))
-            drives.period()
-        drives.period(600)
+            drives.advance_periods()
+        drives.advance_periods(600)
         reached = min(goal, limit) if per_count[j] > 0 else max(goal, limit)
         assert truth(drives, "q")[j] == pytest.approx(reached * per_count[j], abs=0.02)
         assert np.abs(np.delete(truth(drives, "q") - before, j)).max() < 0.02
@@ -222,7 +222,7 @@ def test_a_master_leads_all_shafts_at_once_by_frames(machine: Machine) -> None:
     scene, rng = machine.scene, np.random.default_rng(4)
     drives = Drives(Plant(scene), machine.gains.servo, CANOPEN)
     segment = CanSegment(drives, 1)
-    segment.boot()
+    segment.boot_nodes()
     canopen_master.enable(segment, CSP)
     N = len(scene.joints)
     per_count = 2.0 * np.pi * scene.gear_ratios / [joint.counts_per_turn for joint in scene.joints]
@@ -235,8 +235,8 @@ def test_a_master_leads_all_shafts_at_once_by_frames(machine: Machine) -> None:
         part = min(k / 600.0, 1.0)
         goal = begun + np.rint(travel * part**3 * (10.0 - 15.0 * part + 6.0 * part**2)).astype(int)
         for j, target in enumerate(goal.tolist()):
-            segment.receive(CanFrame(0x301 + j, struct.pack("<Hi", 15, target)))
-        frames = segment.receive(canopen_master.SYNC)
+            segment.receive_frame(CanFrame(0x301 + j, struct.pack("<Hi", 15, target)))
+        frames = segment.receive_frame(canopen_master.SYNC)
         (rows,) = zip(*(canopen_master.sent(frames, 0x281 + j) for j in range(N)), strict=True)
         status, actual = np.array([struct.unpack("<Hi", row) for row in rows]).T
         assert (status & 0x6F == 0x27).all(), "Operation enabled"

@@ -216,10 +216,10 @@ class ByDrives(OfPlant):
         self.wait()
 
     def wait(self) -> None:
-        self.drives.period()
+        self.drives.advance_periods()
 
     def run(self, periods: int) -> None:
-        self.drives.period(periods)
+        self.drives.advance_periods(periods)
 
     def cut(self) -> str:
         words = super().cut()

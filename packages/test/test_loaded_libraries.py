@@ -25,7 +25,7 @@ from arm_emulator.toolchain.compiler_command import find_compiler
 from arm_emulator.toolchain.unit import Unit
 from arm_emulator_campaign.program import make_judges_unit
 from arm_emulator_campaign.signals import make_sampler_unit
-from arm_emulator_fieldbus.drives_unit import drives_unit
+from arm_emulator_fieldbus.drives_unit import make_drives_unit
 from arm_emulator_fleet.unit import build_fleet_unit
 from emulator_node.c import make_answered_ticks_unit, make_real_time_ticks_unit
 from servo_node.c import make_answered_states_unit
@@ -80,7 +80,7 @@ def test_our_libraries_call_their_own_functions(tmp_path: Path) -> None:
         build_machine_unit(scene),
         build_equations_unit(scene),
         build_fleet_unit(scene),
-        drives_unit("drives"),
+        make_drives_unit("drives"),
         make_servo_unit(),
     )
     units += make_servo_step_unit(), tick_unit(), build_real_time_unit(), build_record_ring_unit()

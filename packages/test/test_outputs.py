@@ -341,7 +341,7 @@ def test_drives_on_a_bus_have_every_output(scene: Scene) -> None:
         if tick == 140:
             drives.write(1, 0x60FE, 1, 2)
             drives.write(1, 0x60FE, 1, 1)
-        drives.period()
+        drives.advance_periods()
         if tick == 150:
             drives.restart(0)
         elif 3 < tick < 140:
@@ -351,16 +351,16 @@ def test_drives_on_a_bus_have_every_output(scene: Scene) -> None:
             measured = np.asarray(getattr(drives.plant.measured, name), float)
             index = find_index(output)
             if output.per_unit:
-                readings = [drives.reading(1, index, sub) for sub in range(1, 7)]
+                readings = [drives.read_number(1, index, sub) for sub in range(1, 7)]
                 assert readings == measured.astype(np.float32).ravel().tolist(), name
-                assert drives.reading(0, index, 1) == 0.0, "no unit on its link"
+                assert drives.read_number(0, index, 1) == 0.0, "no unit on its link"
                 continue
             entry = entries[index, 0]
             assert entry.access == "ro" and entry.tx, name
             is_integer = entry.type != "REAL32"
             times = 1e3 if is_integer and entry.unit.startswith("m") else 1.0
             for j, value in enumerate(times * measured):
-                off = abs(drives.reading(j, index) - value)
+                off = abs(drives.read_number(j, index) - value)
                 assert off <= (0.5 if is_integer else 1e-7 * abs(value)), f"{name} of joint {j}"
             changed[name] += len(np.unique(measured)) > 1
     same = {name for name, output in HERE.items() if not output.per_unit and not changed[name]}

@@ -90,7 +90,7 @@ class PythonCanBus:
         try:
             self._bus.send(message)
         except can.CanError as error:
-            _report(f"a frame was not sent: {error}")
+            _report_line(f"a frame was not sent: {error}")
 
 
 Bus = PythonCanBus | CanServer
@@ -119,9 +119,9 @@ class BusService:
         self._reported = False
         self.lost_periods = 0  # in real time: lateness of logical time
 
-    def serve(self, goes_on: Callable[[], bool] = lambda: True) -> None:
+    def serve_nodes(self, goes_on: Callable[[], bool] = lambda: True) -> None:
         """Boot the nodes, and serve."""
-        self._send(self._segment.boot())
+        self._send_frames(self._segment.boot_nodes())
         if self._period is None:
             self._serve_in_lockstep(goes_on)
         else:
@@ -136,7 +136,7 @@ class BusService:
                 tick, since, silent = self._segment.tick, time.monotonic(), False
             elif not silent and time.monotonic() - since > REPORT_SILENCE:
                 silent = True
-                _report(f"no SYNC, logical time stands still at tick {tick}")
+                _report_line(f"no SYNC, logical time stands still at tick {tick}")
 
     def _serve_in_real_time(self, goes_on: Callable[[], bool], period: int) -> None:
         due = time.monotonic_ns() + period
@@ -149,9 +149,11 @@ class BusService:
                 lost = late // period
                 self.lost_periods += lost
                 due += lost * period
-                _report(f"{late / 1e9:.1f} s late: {self.lost_periods} servo periods lost so far")
+                _report_line(
+                    f"{late / 1e9:.1f} s late: {self.lost_periods} servo periods lost so far"
+                )
             due += period
-            self._send(self._segment.pass_period())
+            self._send_frames(self._segment.pass_period())
             self._report_fault()
             for _ in range(MAX_FRAMES):
                 if not self._has_received(0.0):
@@ -165,22 +167,22 @@ class BusService:
         """
         frame = self._bus.receive(timeout)
         if frame is not None:
-            self._send(self._segment.receive(frame))
+            self._send_frames(self._segment.receive_frame(frame))
             while self._segment.notices:
-                _report(self._segment.notices.pop(0))
+                _report_line(self._segment.notices.pop(0))
             self._report_fault()
-        self._send(self._segment.heartbeats(time.monotonic_ns()))
+        self._send_frames(self._segment.send_heartbeats(time.monotonic_ns()))
         return frame is not None
 
-    def _send(self, frames: list[CanFrame]) -> None:
+    def _send_frames(self, frames: list[CanFrame]) -> None:
         for frame in frames:
             self._bus.send(frame)
 
     def _report_fault(self) -> None:
         if self._segment.fault is not None and not self._reported:
             self._reported = True
-            _report(str(self._segment.fault))
+            _report_line(str(self._segment.fault))
 
 
-def _report(words: str) -> None:
+def _report_line(words: str) -> None:
     print(f"canopen: {words}", file=sys.stderr, flush=True)

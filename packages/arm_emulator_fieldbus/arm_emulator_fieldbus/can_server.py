@@ -62,7 +62,7 @@ class CanServer:
     def close(self) -> None:
         """End all connections."""
         for member in list(self._members.values()):
-            self._drop(member)
+            self._drop_client(member)
         self._selector.close()
         self._listening.close()
 
@@ -78,7 +78,7 @@ class CanServer:
 
     def send(self, frame: CanFrame) -> None:
         """Send a frame to all members."""
-        self._broadcast(_format_frame(frame.id, frame.data), None)
+        self._broadcast_line(_format_frame(frame.id, frame.data), None)
 
     # ---------------------------------------------------------------------------------- members
 
@@ -90,20 +90,20 @@ class CanServer:
     def _wait_events(self, timeout: float) -> None:
         for key, events in self._selector.select(timeout):
             if key.fileobj is self._listening:
-                self._accept()
+                self._accept_client()
                 continue
             if events & selectors.EVENT_READ and key.fd in self._members:
-                self._read(self._members[key.fd])
+                self._read_lines(self._members[key.fd])
             if events & selectors.EVENT_WRITE and key.fd in self._members:
-                self._write(self._members[key.fd])
+                self._write_unsent(self._members[key.fd])
         now = time.monotonic()
         for member in list(self._members.values()):
             if member.waiting and member.settled <= now:
                 member.unsent += member.waiting
                 member.waiting.clear()
-                self._write(member)
+                self._write_unsent(member)
 
-    def _accept(self) -> None:
+    def _accept_client(self) -> None:
         try:
             connection, _ = self._listening.accept()
         except OSError:  # it has gone again
@@ -116,14 +116,14 @@ class CanServer:
         member = _Member(connection)
         self._members[connection.fileno()] = member
         self._selector.register(connection, selectors.EVENT_READ)
-        self._answer(member, b"< hi >")
+        self._answer_client(member, b"< hi >")
 
-    def _drop(self, member: _Member) -> None:
+    def _drop_client(self, member: _Member) -> None:
         if self._members.pop(member.connection.fileno(), None) is not None:
             self._selector.unregister(member.connection)
             member.connection.close()
 
-    def _read(self, member: _Member) -> None:
+    def _read_lines(self, member: _Member) -> None:
         try:
             data = member.connection.recv(4096)
         except BlockingIOError:
@@ -131,7 +131,7 @@ class CanServer:
         except OSError:
             data = b""
         if not data:
-            self._drop(member)
+            self._drop_client(member)
             return
         with contextlib.suppress(OSError):  # or a client's next frame would wait for our next one
             member.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
@@ -139,32 +139,32 @@ class CanServer:
         member.unread = rest
         for line in lines:
             if member.connection.fileno() >= 0:
-                self._take(member, line)
+                self._take_line(member, line)
         if len(rest) > LONGEST_LINE or rest.lstrip()[:1] not in (b"", b"<"):
-            self._hang_up(member)
+            self._drop_wrong_protocol(member)
 
-    def _take(self, member: _Member, line: bytes) -> None:
+    def _take_line(self, member: _Member, line: bytes) -> None:
         head, _, text = line.partition(b"<")
         words = text.split() or [b""]
         if head.strip() or len(text) > LONGEST_LINE:
-            self._hang_up(member)
+            self._drop_wrong_protocol(member)
             return
         match words[0]:
             case b"open" if len(words) == 2:
                 member.opened = True
-                self._answer(member, _OK)
+                self._answer_client(member, _OK)
             case b"rawmode" if member.opened:
-                self._answer(member, _OK)
+                self._answer_client(member, _OK)
                 member.listens = True
                 member.settled = time.monotonic() + SETTLING
             case b"echo":
-                self._answer(member, b"< echo >")
+                self._answer_client(member, b"< echo >")
             case b"send" if member.opened:
-                self._frame(member, words[1:])
+                self._take_frame(member, words[1:])
             case _:
-                self._ignore(member)
+                self._ignore_command(member)
 
-    def _frame(self, member: _Member, words: list[bytes]) -> None:
+    def _take_frame(self, member: _Member, words: list[bytes]) -> None:
         """Take ``IDENTIFIER LENGTH BYTE ...``: three digits, or eight for one of 29 bits."""
         try:
             number, *data = (int(word, 16) for word in [words[0], *words[2:]])
@@ -175,45 +175,45 @@ class CanServer:
         except (ValueError, IndexError):
             sound = False
         if not sound:
-            self._ignore(member)
+            self._ignore_command(member)
             return
         if short:
             self._arrived.append(CanFrame(number, bytes_))
-        self._broadcast(_format_frame(number, bytes_, 3 if short else 8), member)
+        self._broadcast_line(_format_frame(number, bytes_, 3 if short else 8), member)
 
-    def _hang_up(self, member: _Member) -> None:
+    def _drop_wrong_protocol(self, member: _Member) -> None:
         """Drop a client of another protocol, such as a browser."""
         self.ignored += 1
-        self._drop(member)
+        self._drop_client(member)
 
-    def _ignore(self, member: _Member) -> None:
+    def _ignore_command(self, member: _Member) -> None:
         self.ignored += 1
-        self._answer(member, b"< error unknown command >")
+        self._answer_client(member, b"< error unknown command >")
 
-    def _broadcast(self, line: bytes, sender: _Member | None) -> None:
+    def _broadcast_line(self, line: bytes, sender: _Member | None) -> None:
         for member in list(self._members.values()):
             if member is not sender and member.listens:
-                self._answer(member, line)
+                self._answer_client(member, line)
 
-    def _answer(self, member: _Member, line: bytes) -> None:
+    def _answer_client(self, member: _Member, line: bytes) -> None:
         if member.connection.fileno() < 0:
             return
         if member.waiting or time.monotonic() < member.settled:  # no frame passes those before it
             member.waiting += line
         else:
             member.unsent += line
-            self._write(member)
+            self._write_unsent(member)
         if len(member.waiting) + len(member.unsent) > MAX_UNSENT:
-            self._drop(member)
+            self._drop_client(member)
 
-    def _write(self, member: _Member) -> None:
+    def _write_unsent(self, member: _Member) -> None:
         try:
             while member.unsent:
                 del member.unsent[: member.connection.send(member.unsent)]
         except BlockingIOError:
             pass
         except OSError:
-            self._drop(member)
+            self._drop_client(member)
             return
         if bool(member.unsent) != member.waits:
             member.waits = not member.waits

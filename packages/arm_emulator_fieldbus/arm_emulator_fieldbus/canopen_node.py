@@ -111,7 +111,7 @@ class Node:
             if entry.buses & CANOPEN and 0x1005 <= entry.index < 0x2000 and entry.access == "rw"
             if entry.index not in (0x1010, 0x1011)
         }
-        self._configure()
+        self._read_settings()
 
     @property
     def state(self) -> NmtState:
@@ -125,12 +125,12 @@ class Node:
 
     # ------------------------------------------------------------------------- the dictionary
 
-    def upload(self, index: int, sub: int) -> bytes:
+    def upload_entry(self, index: int, sub: int) -> bytes:
         """Return the bytes of an entry; raise `Aborted`."""
-        return self._drives.upload(self._drive, index, sub)
+        return self._drives.upload_entry(self._drive, index, sub)
 
-    def _number(self, index: int, sub: int) -> int:
-        return int.from_bytes(self._drives.upload(self._drive, index, sub), "little")
+    def _read_number(self, index: int, sub: int) -> int:
+        return int.from_bytes(self._drives.upload_entry(self._drive, index, sub), "little")
 
     def _set_defaults(self) -> None:
         """Set what depends on the node-ID; targets go with SYNC, the controlword at once.
@@ -150,17 +150,19 @@ class Node:
             self._drives.set(self._drive, index, base + self.number, sub)
         self._drives.set(self._drive, 0x1006, self._first_sync_period)
 
-    def _configure(self) -> None:
+    def _read_settings(self) -> None:
         """Take the settings of the communication from the dictionary."""
-        self._configured = self._drives.communication(self._drive)
-        self._sync_id = self._number(0x1005, 0) & 0x7FF
-        emergency = self._number(0x1014, 0)
+        self._configured = self._drives.count_communication_writes(self._drive)
+        self._sync_id = self._read_number(0x1005, 0) & 0x7FF
+        emergency = self._read_number(0x1014, 0)
         self._emergency_id = None if emergency & INVALID else emergency & 0x7FF
-        self.beat = self._number(0x1017, 0) * MS
-        self._life = self._number(0x100C, 0) * self._number(0x100D, 0) * MS
-        self.sync_period, self._window = (self._number(index, 0) * US for index in (0x1006, 0x1007))
+        self.beat = self._read_number(0x1017, 0) * MS
+        self._life = self._read_number(0x100C, 0) * self._read_number(0x100D, 0) * MS
+        self.sync_period, self._window = (
+            self._read_number(index, 0) * US for index in (0x1006, 0x1007)
+        )
         self._drives.set_cycle(self._drive, self.sync_period)
-        heartbeat = self._number(0x1016, 1)
+        heartbeat = self._read_number(0x1016, 1)
         before = self._consumed_heartbeat
         self._consumed_heartbeat = (heartbeat >> 16 & 0x7F, (heartbeat & 0xFFFF) * MS)
         if self._consumed_heartbeat != before:
@@ -173,23 +175,23 @@ class Node:
             ]
 
     def _read_pdo(self, communication: int, mapping: int) -> _Pdo:
-        cob = self._number(communication, 1)
-        words = (self._number(mapping, k + 1) for k in range(self._number(mapping, 0)))
+        cob = self._read_number(communication, 1)
+        words = (self._read_number(mapping, k + 1) for k in range(self._read_number(mapping, 0)))
         places = [(word >> 16, word >> 8 & 0xFF, (word & 0xFF) // 8) for word in words]
         is_used = places and not cob & INVALID
         pdo = _Pdo(
             cob & 0x7FF if is_used else -1,
             not cob & NO_REMOTE,
-            self._number(communication, 2),
+            self._read_number(communication, 2),
             places,
         )
-        pdo.inhibit = self._number(communication, 3) * 100_000
-        pdo.timer = self._number(communication, 5) * MS
+        pdo.inhibit = self._read_number(communication, 3) * 100_000
+        pdo.timer = self._read_number(communication, 5) * MS
         return pdo
 
     # ---------------------------------------------------------------------------------- frames
 
-    def boot(self) -> list[CanFrame]:
+    def boot_node(self) -> list[CanFrame]:
         """Start up: send the boot message and enter pre-operational."""
         self.state = NmtState.PRE_OPERATIONAL
         self._toggle = 0
@@ -197,7 +199,7 @@ class Node:
         self._drives.begin_sdo(self._drive)
         return [CanFrame(0x700 + self.number, bytes((NmtState.BOOT,)))]
 
-    def receive(self, frame: CanFrame, now: int) -> list[CanFrame]:
+    def receive_frame(self, frame: CanFrame, now: int) -> list[CanFrame]:
         """Take a frame other than SYNC, and return what the node sends.
 
         Args:
@@ -208,11 +210,11 @@ class Node:
         if frame.remote:
             return self._answer_request(id_, now)
         if id_ == 0:
-            return self._command(frame.data, now)
+            return self._handle_nmt(frame.data, now)
         if id_ == 0x600 + self.number:
             if self.state is NmtState.STOPPED or self.state is NmtState.BOOT:
                 return []
-            return self._serve(frame.data)
+            return self._serve_sdo(frame.data)
         if id_ == 0x700 + self._consumed_heartbeat[0] and self._consumed_heartbeat[1]:
             self._heard_at = now
         if self.state is NmtState.OPERATIONAL:
@@ -223,7 +225,7 @@ class Node:
         """Return whether a frame is SYNC to this node."""
         return frame.id == self._sync_id and not frame.remote and len(frame.data) <= 1
 
-    def sync(self, now: int) -> list[CanFrame]:
+    def handle_sync(self, now: int) -> list[CanFrame]:
         """Take a SYNC: received data takes effect, and present data is sent."""
         if self.state is not NmtState.OPERATIONAL:
             return []
@@ -232,30 +234,30 @@ class Node:
         for pdo in self._receives:
             if pdo.waiting is not None:
                 data, pdo.waiting = pdo.waiting, None
-                frames += self._unpack(pdo, data)
+                frames += self._unpack_pdo(pdo, data)
         for pdo in self._sends:
             if pdo.id < 0 or pdo.type in (*ASYNCHRONOUS, 253):
                 continue
-            data = self._pack(pdo)
+            data = self._pack_pdo(pdo)
             pdo.count += 1
             if pdo.type == 252:
                 pdo.sent = data
             elif pdo.count >= pdo.type and (pdo.type or data != pdo.sent):
-                frames.append(self._send(pdo, data, now))
+                frames.append(self._send_pdo(pdo, data, now))
         return frames
 
-    def after_period(self, now: int) -> list[CanFrame]:
+    def finish_period(self, now: int) -> list[CanFrame]:
         """Return what the node sends on its own after a servo period."""
-        frames = self._watch(now)
-        code = self._number(0x603F, 0)
+        frames = self._monitor_messages(now)
+        code = self._read_number(0x603F, 0)
         if code != self._error:
             self._error = code
             frames += self._report_emergency(code)
         if self.state is NmtState.OPERATIONAL:
-            frames += self._events(now)
+            frames += self._send_events(now)
         return frames
 
-    def heartbeat(self, now: int) -> list[CanFrame]:
+    def send_heartbeat(self, now: int) -> list[CanFrame]:
         """Return the heartbeat if it is due at a time [ns] of the bus's clock."""
         if not self.beat or self.state is NmtState.BOOT:
             return []
@@ -267,16 +269,16 @@ class Node:
 
     # --------------------------------------------------------------------------------- details
 
-    def _serve(self, request: bytes) -> list[CanFrame]:
+    def _serve_sdo(self, request: bytes) -> list[CanFrame]:
         """SDO."""
         if len(request) != 8:
             return []
-        replies = self._drives.sdo(self._drive, request)
-        if self._drives.communication(self._drive) != self._configured:
-            self._configure()
+        replies = self._drives.serve_sdo(self._drive, request)
+        if self._drives.count_communication_writes(self._drive) != self._configured:
+            self._read_settings()
         return [CanFrame(0x580 + self.number, reply) for reply in replies]
 
-    def _command(self, data: bytes, now: int) -> list[CanFrame]:
+    def _handle_nmt(self, data: bytes, now: int) -> list[CanFrame]:
         """NMT."""
         if len(data) != 2 or data[1] not in (0, self.number):
             return []
@@ -287,29 +289,29 @@ class Node:
                 for pdo in (*self._receives, *self._sends):
                     pdo.waiting = pdo.sent = pdo.received_at = None
                     pdo.count = 0
-                return self._events(now)
+                return self._send_events(now)
             case 2:
-                self._stop()
+                self._stop_node()
             case 128:
                 self.state = NmtState.PRE_OPERATIONAL
             case 129:
                 self._drives.restart(self._drive)
                 self._set_defaults()
-                return self._restart()
+                return self._restart_node()
             case 130:
-                self._stop()
+                self._stop_node()
                 self._restore_communication()
-                return self._restart()
+                return self._restart_node()
         return []
 
-    def _restart(self) -> list[CanFrame]:
-        self._configure()
+    def _restart_node(self) -> list[CanFrame]:
+        self._read_settings()
         self._error, self._bad_pdo = 0, False
-        return self.boot()
+        return self.boot_node()
 
-    def _stop(self) -> None:
+    def _stop_node(self) -> None:
         if self.state is NmtState.OPERATIONAL:
-            self._drives.lost(self._drive, STOPPED_BY_MASTER)
+            self._drives.report_loss(self._drive, STOPPED_BY_MASTER)
         self.state = NmtState.STOPPED
         self._drives.begin_sdo(self._drive)
 
@@ -328,7 +330,7 @@ class Node:
             return []
         for pdo in self._sends:
             if pdo.id == id_ and pdo.remote:
-                data = pdo.sent if pdo.type == 252 else self._pack(pdo)
+                data = pdo.sent if pdo.type == 252 else self._pack_pdo(pdo)
                 return [CanFrame(id_, data)] if data is not None else []
         return []
 
@@ -342,17 +344,17 @@ class Node:
                 continue
             pdo.received_at = now
             if pdo.type in ASYNCHRONOUS:
-                frames += self._unpack(pdo, frame.data)
+                frames += self._unpack_pdo(pdo, frame.data)
             else:
                 pdo.waiting = frame.data
         return frames
 
-    def _unpack(self, pdo: _Pdo, data: bytes) -> list[CanFrame]:
+    def _unpack_pdo(self, pdo: _Pdo, data: bytes) -> list[CanFrame]:
         at, bad = 0, False
         for index, sub, size in pdo.places:
             if index >= 8:
                 try:
-                    self._drives.download(self._drive, index, sub, data[at : at + size])
+                    self._drives.download_entry(self._drive, index, sub, data[at : at + size])
                 except Aborted:
                     bad = True
             at += size
@@ -360,18 +362,18 @@ class Node:
         self._bad_pdo = bad
         return reported
 
-    def _pack(self, pdo: _Pdo) -> bytes:
-        upload, drive = self._drives.upload, self._drive
+    def _pack_pdo(self, pdo: _Pdo) -> bytes:
+        upload, drive = self._drives.upload_entry, self._drive
         return b"".join(
             upload(drive, index, sub) if index >= 8 else bytes(size)
             for index, sub, size in pdo.places
         )
 
-    def _send(self, pdo: _Pdo, data: bytes, now: int) -> CanFrame:
+    def _send_pdo(self, pdo: _Pdo, data: bytes, now: int) -> CanFrame:
         pdo.sent, pdo.sent_at, pdo.count = data, now, 0
         return CanFrame(pdo.id, data)
 
-    def _events(self, now: int) -> list[CanFrame]:
+    def _send_events(self, now: int) -> list[CanFrame]:
         frames = []
         for pdo in self._sends:
             if pdo.id < 0 or pdo.type not in ASYNCHRONOUS:
@@ -379,40 +381,40 @@ class Node:
             passed = now - pdo.sent_at
             if pdo.sent is not None and passed < pdo.inhibit:
                 continue
-            data = self._pack(pdo)
+            data = self._pack_pdo(pdo)
             if data != pdo.sent or (pdo.timer and passed >= pdo.timer):
-                frames.append(self._send(pdo, data, now))
+                frames.append(self._send_pdo(pdo, data, now))
         return frames
 
     def _is_late(self, now: int) -> bool:
         """Return whether the window for synchronous data after SYNC (0x1007) has passed."""
         return not self._lockstep and _has_expired(self._synced_at, self._window, now)
 
-    def _watch(self, now: int) -> list[CanFrame]:
+    def _monitor_messages(self, now: int) -> list[CanFrame]:
         """Check what comes periodically; each loss is reported once, until the next message."""
         frames: list[CanFrame] = []
         if _has_expired(self._heard_at, self._consumed_heartbeat[1], now):
             self._heard_at = None
-            frames += self._lose_master()
+            frames += self._handle_master_loss()
         if _has_expired(self._guarded_at, self._life, now):
             self._guarded_at = None
-            frames += self._lose_master()
+            frames += self._handle_master_loss()
         if self.state is not NmtState.OPERATIONAL:
             return frames
         if _has_expired(self._synced_at, int(SYNC_TOLERANCE * self.sync_period), now):
             self._synced_at = None
-            frames += self._lose(NO_SYNC)
+            frames += self._report_loss(NO_SYNC)
         for pdo in self._receives:
             if _has_expired(pdo.received_at, pdo.timer, now):
                 pdo.received_at = None
-                frames += self._lose(NO_DATA)
+                frames += self._report_loss(NO_DATA)
         return frames
 
-    def _lose_master(self) -> list[CanFrame]:
+    def _handle_master_loss(self) -> list[CanFrame]:
         """Take the loss of heartbeats or guarding, after which 0x1029 selects the state."""
-        frames = self._lose(LOST)
+        frames = self._report_loss(LOST)
         if self.state is NmtState.OPERATIONAL:
-            match self._number(0x1029, 1):
+            match self._read_number(0x1029, 1):
                 case 0:
                     self.state = NmtState.PRE_OPERATIONAL
                 case 2:
@@ -420,17 +422,17 @@ class Node:
                     self._drives.begin_sdo(self._drive)
         return frames
 
-    def _lose(self, code: int) -> list[CanFrame]:
+    def _report_loss(self, code: int) -> list[CanFrame]:
         """Report a loss to the drive, which reacts as 0x6007 selects, and by EMCY."""
-        self._drives.lost(self._drive, code)
+        self._drives.report_loss(self._drive, code)
         reported = self._report_emergency(code)
-        self._error = self._number(0x603F, 0)
+        self._error = self._read_number(0x603F, 0)
         return reported
 
     def _report_emergency(self, code: int) -> list[CanFrame]:
         if self._emergency_id is None or self.state in (NmtState.STOPPED, NmtState.BOOT):
             return []
-        register = self._number(0x1001, 0)
+        register = self._read_number(0x1001, 0)
         return [CanFrame(self._emergency_id, struct.pack("<HB5x", code, register))]
 
 

@@ -68,19 +68,19 @@ class CanSegment:
         """Logical time [ns]."""
         return self.tick * self._period
 
-    def boot(self) -> list[CanFrame]:
+    def boot_nodes(self) -> list[CanFrame]:
         """Start up, and return the frames sent."""
-        return [frame for node in self.nodes for frame in node.boot()]
+        return [frame for node in self.nodes for frame in node.boot_node()]
 
-    def receive(self, frame: CanFrame) -> list[CanFrame]:
+    def receive_frame(self, frame: CanFrame) -> list[CanFrame]:
         """Take a frame from the bus, and return the frames sent."""
         now, frames, synced = self.now, [], False
         for node in self.nodes:
             if node.is_sync(frame):
                 synced = True
-                frames += node.sync(now)
+                frames += node.handle_sync(now)
             else:
-                frames += node.receive(frame, now)
+                frames += node.receive_frame(frame, now)
                 if frame.id == 0x600 + node.number and frame.data[1:3] in _TIMES:
                     self._written.add(node.number)
         if synced and self._lockstep:
@@ -101,7 +101,7 @@ class CanSegment:
         for drive, node in enumerate(self.nodes):
             if node.number not in self._written:
                 continue
-            targets, notice = self.drives.periods_per_target(drive), ""
+            targets, notice = self.drives.count_periods_per_target(drive), ""
             if node.sync_period and node.sync_period != periods * self._period:
                 own = node.sync_period / self._period
                 notice = f"0x1006 is {own:g} servo periods: SYNC stands for {periods}"
@@ -121,15 +121,15 @@ class CanSegment:
         """
         if self.fault is None:
             try:
-                self.drives.period()
+                self.drives.advance_periods()
             except Diverged as fault:
                 self.fault = fault
         now = self.now
-        return [frame for node in self.nodes for frame in node.after_period(now)]
+        return [frame for node in self.nodes for frame in node.finish_period(now)]
 
-    def heartbeats(self, now: int) -> list[CanFrame]:
+    def send_heartbeats(self, now: int) -> list[CanFrame]:
         """Return the heartbeats that are due at a time of the bus's clock [ns]."""
-        return [frame for node in self.nodes for frame in node.heartbeat(now)]
+        return [frame for node in self.nodes for frame in node.send_heartbeat(now)]
 
     @property
     def beat(self) -> int:

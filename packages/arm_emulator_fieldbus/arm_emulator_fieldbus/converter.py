@@ -217,15 +217,15 @@ class RegisterConverter:
             self._sizes[start] = block.address + block.count - start
         self.on_commands: Callable[[], object] = lambda: None
         self._watchdog = watchdog
-        self._forget()
+        self._forget_commands()
 
-    def _forget(self) -> None:
-        self._stop()
+    def _forget_commands(self) -> None:
+        self._zero_commands()
         self._zoh_target = self.target  # in the period that is under way
         self._written_tick: int | None = None  # when the newest commands came
         self._tripped = False
 
-    def _stop(self) -> None:
+    def _zero_commands(self) -> None:
         """Set all commands to 0."""
         self._command = [0] * self._N * (1 + len(self._inputs))
         self.target = np.zeros((1 + len(self._inputs), self._N))
@@ -247,7 +247,7 @@ class RegisterConverter:
             scene.joint_names[index].encode(),
         )
 
-    def _block(self, address: int, count: int) -> tuple[int, int]:
+    def _find_block(self, address: int, count: int) -> tuple[int, int]:
         for base, size in self._sizes.items():
             if base <= address and address + count <= base + size:
                 return base, address - base
@@ -255,9 +255,9 @@ class RegisterConverter:
 
     def read(self, address: int, count: int) -> Sequence[int]:
         """Return registers, see `modbus_rtu.Registers`."""
-        base, at = self._block(address, count)
+        base, at = self._find_block(address, count)
         if base == MEASURED:
-            words: Sequence[int] = self._measured(at + count)
+            words: Sequence[int] = self._read_measurement(at + count)
         elif base == COMMANDED:
             words = [POWER * self.session.powered, *(word & 0xFFFF for word in self._command)]
         elif base == SETTINGS:
@@ -281,7 +281,7 @@ class RegisterConverter:
             | RUNNING * (self._written_tick is not None)
         )
 
-    def _measured(self, count: int) -> Sequence[int]:
+    def _read_measurement(self, count: int) -> Sequence[int]:
         """Return at least the first `count` words of the measurement."""
         session = self.session
         tick = session.tick
@@ -298,7 +298,7 @@ class RegisterConverter:
 
     def write(self, address: int, words: Sequence[int]) -> None:
         """Take registers, see `modbus_rtu.Registers`."""
-        base, at = self._block(address, len(words))
+        base, at = self._find_block(address, len(words))
         if base == SETTINGS:
             self._watchdog = words[0]
             return
@@ -350,7 +350,7 @@ class RegisterConverter:
         session = self.session
         if control & RESET:
             session.reset()
-            self._forget()
+            self._forget_commands()
         if control & ACKNOWLEDGE and self._tripped:
             self._tripped = False
             self._written_tick = session.tick
@@ -374,7 +374,7 @@ class RegisterConverter:
         self._zoh_target = self.target
         self.pass_period()
 
-    def offer(self) -> None:
+    def offer_commands(self) -> None:
         """Pass the commands to a session in real time."""
         session = self.session
         try:
@@ -393,7 +393,7 @@ class RegisterConverter:
         if silent <= self._watchdog * 1_000_000:
             return False
         self._tripped = True
-        self._stop()
+        self._zero_commands()
         session.powered = False
         return True
 

@@ -26,7 +26,7 @@ _UNITS = {"count": ("counts",)}
 _IN_C = {"readings": "readings[at.in_rows()]", "further": "further[at.in_rows()]"}
 
 
-def _number_objects() -> dict[str, int]:
+def _choose_indices() -> dict[str, int]:
     names = [value.name for value in KNOWN_OUTPUTS.values() if not value.cia]
     names += dict.fromkeys(part_input.name for kind in PARTS for part_input in _list_inputs(kind))
     indices: dict[str, int] = {}
@@ -43,7 +43,7 @@ def _list_inputs(kind: type[Part]) -> tuple[Input, ...]:
     return tuple(getattr(kind, "inputs", ())[1:])
 
 
-_INDICES = _number_objects()
+_INDICES = _choose_indices()
 
 # Names of what has such an object, by index; of other outputs a drive has objects by itself.
 REPORTED = tuple(KNOWN_OUTPUTS[name] for name in _INDICES if name in KNOWN_OUTPUTS)

@@ -24,7 +24,7 @@ from arm_emulator_fieldbus.object_dictionary import (
     SIGNED,
     Aborted,
     ObjectEntry,
-    modes,
+    list_all_modes,
     read_entries,
 )
 
@@ -76,7 +76,7 @@ class Drives:
         scene = plant.scene
         check_servo(scene, servo)
         self._joints = _make_joints(scene, servo)
-        self.withheld = list_withheld_modes(scene, servo, modes())
+        self.withheld = list_withheld_modes(scene, servo, list_all_modes())
         for loop in self.withheld:
             self._joints["modes"][loop.joint] &= 0xFFFFFFFF ^ 1 << loop.mode.number - 1
         names = [_make_text(name) for name in (*scene.joint_names, scene.name)]
@@ -148,10 +148,10 @@ class Drives:
         self.calls.drives_restore(self.pointer, saved.drives)
 
     def advance(self, ticks: int) -> None:
-        """Advance by so many servo periods, as a run of `Timeline`; see `period`."""
-        self.period(ticks)
+        """Advance by so many servo periods, as a run of `Timeline`; see `advance_periods`."""
+        self.advance_periods(ticks)
 
-    def period(self, periods: int = 1) -> None:
+    def advance_periods(self, periods: int = 1) -> None:
         """Advance by so many servo periods.
 
         Raises:
@@ -160,7 +160,7 @@ class Drives:
         """
         self.plant.exchange_in(lambda: int(self.calls.drives_periods(self.pointer, periods)))
 
-    def upload(self, drive: int, index: int, sub: int = 0) -> bytes:
+    def upload_entry(self, drive: int, index: int, sub: int = 0) -> bytes:
         """Return the bytes of an entry, little-endian.
 
         Raises:
@@ -173,7 +173,7 @@ class Drives:
             raise Aborted(index, sub, code)
         return bytes(DRIVES.ffi.buffer(self._room, self._size[0]))
 
-    def download(self, drive: int, index: int, sub: int, value: bytes) -> None:
+    def download_entry(self, drive: int, index: int, sub: int, value: bytes) -> None:
         """Write bytes to an entry.
 
         Raises:
@@ -187,28 +187,28 @@ class Drives:
         """Return the whole number that an entry holds.
 
         Raises:
-            Aborted: see `upload`.
+            Aborted: see `upload_entry`.
         """
-        value = self.upload(drive, index, sub)
+        value = self.upload_entry(drive, index, sub)
         return int.from_bytes(value, "little", signed=self._entries[index, sub].type in SIGNED)
 
-    def reading(self, drive: int, index: int, sub: int = 0) -> float:
+    def read_number(self, drive: int, index: int, sub: int = 0) -> float:
         """Return the number that an entry of any type holds.
 
         Raises:
-            Aborted: see `upload`.
+            Aborted: see `upload_entry`.
         """
         layout = REALS.get(self._entries[index, sub].type)
         if layout is None:
             return self.read(drive, index, sub)
-        (value,) = struct.unpack(layout, self.upload(drive, index, sub))
+        (value,) = struct.unpack(layout, self.upload_entry(drive, index, sub))
         return float(value)
 
     def write(self, drive: int, index: int, value: int, sub: int = 0) -> None:
         """Write a number to an entry, in as many bytes as it has.
 
         Raises:
-            Aborted: see `download`; or a number that so many bytes do not hold.
+            Aborted: see `download_entry`; or a number that so many bytes do not hold.
         """
         value = max(-(2**63), min(value, 2**63 - 1))  # beyond what any entry holds
         code = self.calls.drives_write_number(self.pointer, drive, index, sub, value)
@@ -219,17 +219,17 @@ class Drives:
         """Write a number to an entry of type REAL32 or REAL64.
 
         Raises:
-            Aborted: see `download`.
+            Aborted: see `download_entry`.
         """
         layout = REALS[self._entries[index, 0].type]
-        self.download(drive, index, 0, struct.pack(layout, value))
+        self.download_entry(drive, index, 0, struct.pack(layout, value))
 
     def set(self, drive: int, index: int, value: int, sub: int = 0) -> None:
         """Set an entry that belongs to the bus, whatever its access and range."""
         is_set = self.calls.drives_set(self.pointer, drive, index, sub, value)
         assert is_set, "the dictionary has it"
 
-    def sdo(self, drive: int, request: bytes) -> list[bytes]:
+    def serve_sdo(self, drive: int, request: bytes) -> list[bytes]:
         """Return the replies of a drive's SDO server on CANopen to a request of 8 bytes."""
         count = self.calls.drives_sdo(self.pointer, drive, request, self._replies)
         raw = bytes(DRIVES.ffi.buffer(self._replies, 8 * count))
@@ -239,11 +239,11 @@ class Drives:
         """Forget a transfer of that server that is under way."""
         self.calls.drives_sdo_begin(self.pointer, drive)
 
-    def communication(self, drive: int) -> int:
+    def count_communication_writes(self, drive: int) -> int:
         """Return how often an object of a drive's communication, 0x1005 to 0x1FFF, was written."""
         return int(self.calls.drives_communication(self.pointer, drive))
 
-    def periods_per_target(self, drive: int) -> int:
+    def count_periods_per_target(self, drive: int) -> int:
         """Return the number of servo periods in a drive's interpolation time."""
         return int(self.calls.drives_periods_per_target(self.pointer, drive))
 
@@ -251,7 +251,7 @@ class Drives:
         """Report to a drive the cycle of the bus in which targets come [ns]; 0: unknown."""
         self.calls.drives_set_cycle(self.pointer, drive, cycle)
 
-    def lost(self, drive: int = -1, error: int = 0x8100) -> None:
+    def report_loss(self, drive: int = -1, error: int = 0x8100) -> None:
         """Report to a drive, -1: all, that its master is gone."""
         self.calls.drives_lost(self.pointer, drive, error)
 
@@ -289,7 +289,7 @@ def _make_joints(scene: Scene, servo: ServoConfig) -> ServoRows:
         row["stops"] = joint.stops is not None
         row["mode"] = takes
         row["motor_type"] = 0 if joint.motor is None else joint.motor.cia_type
-        row["modes"] = sum(1 << mode.number - 1 for mode in modes())
+        row["modes"] = sum(1 << mode.number - 1 for mode in list_all_modes())
     return rows
 
 

@@ -27,7 +27,7 @@ def make_eds(node: Node, file_name: str, product: str) -> str:
     indices = [group[0].index for group in objects]
     own = [index for index in indices if 0x2000 <= index < 0x6000]
     rest = [index for index in indices if index not in (*_MANDATORY, *own)]
-    identity = [int.from_bytes(node.upload(0x1018, sub), "little") for sub in (1, 2, 3)]
+    identity = [int.from_bytes(node.upload_entry(0x1018, sub), "little") for sub in (1, 2, 3)]
     lines = [
         "[FileInfo]",
         f"FileName={file_name}",
@@ -113,7 +113,7 @@ def _format_number(value: int, signed: bool) -> str:
 
 def _find_default(node: Node, entry: ObjectEntry) -> str | None:
     """Return the text of an entry's value, or None if tools of masters read no common one."""
-    raw = node.upload(entry.index, entry.sub)
+    raw = node.upload_entry(entry.index, entry.sub)
     if not entry.bits:
         return raw.decode()
     value = int.from_bytes(raw, "little")

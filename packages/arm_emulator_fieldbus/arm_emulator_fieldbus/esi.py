@@ -36,28 +36,32 @@ def make_esi(drives: Drives) -> str:
     coe = {"SdoInfo": "true", "PdoAssign": "true", "PdoConfig": "true", "CompleteAccess": "true"}
     free_run = _list_texts(Name="FreeRun", AssignActivate=_format_hex(0, 4))
     clocks = _list_texts(Name="DC", AssignActivate=_format_hex(0x300, 4))
-    device = _element(
+    device = _make_element(
         "Device",
-        _element("Type", DEVICE, ProductCode=product, RevisionNo=revision),
+        _make_element("Type", DEVICE, ProductCode=product, RevisionNo=revision),
         *_list_texts(Name=DEVICE, GroupType="Drives"),
-        _element("Profile", _element("ProfileNo", "402"), _make_dictionary(drives, objects)),
-        *(_element("Fmmu", use) for use in ("Outputs", "Inputs", "MBoxState")),
+        _make_element(
+            "Profile", _make_element("ProfileNo", "402"), _make_dictionary(drives, objects)
+        ),
+        *(_make_element("Fmmu", use) for use in ("Outputs", "Inputs", "MBoxState")),
         *_list_guards(drives),
         *_list_pdos(drives, objects),
-        _element("Mailbox", _element("CoE", **coe), DataLinkLayer="true"),
-        _element(
+        _make_element("Mailbox", _make_element("CoE", **coe), DataLinkLayer="true"),
+        _make_element(
             "Dc",
-            _element("OpMode", *free_run),
-            _element("OpMode", *clocks, _element("CycleTimeSync0", "0", Factor="1")),
+            _make_element("OpMode", *free_run),
+            _make_element("OpMode", *clocks, _make_element("CycleTimeSync0", "0", Factor="1")),
         ),
-        _element("Eeprom", *_list_texts(ByteSize="2048", ConfigData="0500000000000000")),
+        _make_element("Eeprom", *_list_texts(ByteSize="2048", ConfigData="0500000000000000")),
         Physics="YY",
     )
-    group = _element("Group", *_list_texts(Type="Drives", Name="Servo drives"))
-    root = _element(
+    group = _make_element("Group", *_list_texts(Type="Drives", Name="Servo drives"))
+    root = _make_element(
         "EtherCATInfo",
-        _element("Vendor", *_list_texts(Id=vendor, Name=VENDOR)),
-        _element("Descriptions", _element("Groups", group), _element("Devices", device)),
+        _make_element("Vendor", *_list_texts(Id=vendor, Name=VENDOR)),
+        _make_element(
+            "Descriptions", _make_element("Groups", group), _make_element("Devices", device)
+        ),
         Version="1.6",
     )
     ET.indent(root)
@@ -77,10 +81,12 @@ def _make_dictionary(drives: Drives, objects: dict[int, list[ObjectEntry]]) -> E
         texts = _list_texts(
             Index=_format_hex(index, 4), Name=entries[0].object, Type=name, BitSize=str(bits)
         )
-        rows.append(_element("Object", *texts, _make_info(entries), _make_flags(entries[0])))
+        rows.append(_make_element("Object", *texts, _make_info(entries), _make_flags(entries[0])))
     for name, bits in plain.items():
-        records.append(_element("DataType", *_list_texts(Name=name, BitSize=str(bits))))
-    return _element("Dictionary", _element("DataTypes", *records), _element("Objects", *rows))
+        records.append(_make_element("DataType", *_list_texts(Name=name, BitSize=str(bits))))
+    return _make_element(
+        "Dictionary", _make_element("DataTypes", *records), _make_element("Objects", *rows)
+    )
 
 
 def _make_record(
@@ -93,20 +99,22 @@ def _make_record(
         texts = _list_texts(
             SubIdx=str(entry.sub), Name=entry.name, Type=type_, BitSize=str(bits), BitOffs=str(at)
         )
-        subs.append(_element("SubItem", *texts, _make_flags(entry)))
+        subs.append(_make_element("SubItem", *texts, _make_flags(entry)))
         at += 16 if entry.sub == 0 else bits
-    return at, _element("DataType", *_list_texts(Name=name, BitSize=str(at)), *subs)
+    return at, _make_element("DataType", *_list_texts(Name=name, BitSize=str(at)), *subs)
 
 
 def _make_info(entries: Sequence[ObjectEntry]) -> ET.Element:
-    info = _element("Info")
+    info = _make_element("Info")
     for entry in entries:
         if entry.bits == 0:
             continue
-        default = _element("DefaultValue", str(entry.standard))
+        default = _make_element("DefaultValue", str(entry.standard))
         if len(entries) > 1:
             info.append(
-                _element("SubItem", _element("Name", entry.name), _element("Info", default))
+                _make_element(
+                    "SubItem", _make_element("Name", entry.name), _make_element("Info", default)
+                )
             )
             continue
         if entry.type not in REALS:
@@ -116,14 +124,16 @@ def _make_info(entries: Sequence[ObjectEntry]) -> ET.Element:
 
 
 def _make_flags(entry: ObjectEntry) -> ET.Element:
-    access = _element("Access", {"const": "ro"}.get(entry.access, entry.access))
+    access = _make_element("Access", {"const": "ro"}.get(entry.access, entry.access))
     mapping = ("R" if entry.rx else "") + ("T" if entry.tx else "")
-    return _element("Flags", access, *([_element("PdoMapping", mapping)] if mapping else []))
+    return _make_element(
+        "Flags", access, *([_make_element("PdoMapping", mapping)] if mapping else [])
+    )
 
 
 def _find_type(drives: Drives, entry: ObjectEntry) -> tuple[str, int]:
     if entry.bits == 0:
-        size = len(drives.upload(0, entry.index, entry.sub))
+        size = len(drives.upload_entry(0, entry.index, entry.sub))
         return f"STRING({size})", 8 * size
     return _TYPES[entry.type], entry.bits
 
@@ -142,7 +152,7 @@ def _list_guards(drives: Drives) -> Iterator[ET.Element]:
             "ControlByte": _format_hex(control, 2),
             "Enable": "1",
         }
-        yield _element("Sm", name, DefaultSize=str(size), **mailbox, **reported)
+        yield _make_element("Sm", name, DefaultSize=str(size), **mailbox, **reported)
 
 
 def _count_bytes(drives: Drives, assignment: int) -> int:
@@ -166,22 +176,22 @@ def _list_pdos(drives: Drives, objects: dict[int, list[ObjectEntry]]) -> Iterato
                 texts = _list_texts(Index=_format_hex(index, 4), Name=objects[index][0].object)
                 rows = (_make_mapped(objects, word) for word in mapped)
                 guard = {"Sm": manager} if index in assigned else {}
-                yield _element(tag, *texts, *rows, **guard)
+                yield _make_element(tag, *texts, *rows, **guard)
 
 
 def _make_mapped(objects: dict[int, list[ObjectEntry]], word: int) -> ET.Element:
     """Return the element of a mapping's word: index, sub and bits; index 0 is a gap."""
     at, sub, bits = word >> 16, word >> 8 & 0xFF, str(word & 0xFF)
     if not at:
-        return _element("Entry", *_list_texts(Index=_format_hex(at, 4), BitLen=bits))
+        return _make_element("Entry", *_list_texts(Index=_format_hex(at, 4), BitLen=bits))
     entry = objects[at][sub]
-    return _element("Entry", *_list_texts(
+    return _make_element("Entry", *_list_texts(
         Index=_format_hex(at, 4), SubIndex=str(sub), BitLen=bits, Name=entry.name,
         DataType=_TYPES[entry.type],
     ))  # fmt: skip
 
 
-def _element(tag: str, *content: str | ET.Element, **attributes: str) -> ET.Element:
+def _make_element(tag: str, *content: str | ET.Element, **attributes: str) -> ET.Element:
     element = ET.Element(tag, attributes)
     for part in content:
         if isinstance(part, str):
@@ -192,7 +202,7 @@ def _element(tag: str, *content: str | ET.Element, **attributes: str) -> ET.Elem
 
 
 def _list_texts(**texts: str) -> list[ET.Element]:
-    return [_element(tag, text) for tag, text in texts.items()]
+    return [_make_element(tag, text) for tag, text in texts.items()]
 
 
 def _format_hex(number: int, digits: int) -> str:

@@ -16,21 +16,21 @@ from arm_emulator.extension.compiler import (
 from arm_emulator.extension.machine import Plant, Scene
 from arm_emulator.extension.runs import ServoConfig
 from arm_emulator_fieldbus.drives import Drives
-from arm_emulator_fieldbus.drives_unit import DRIVES_CORE, ETHERCAT, drives_unit
+from arm_emulator_fieldbus.drives_unit import DRIVES_CORE, ETHERCAT, make_drives_unit
 
 MEMORY = 0x3000  # bytes of a slave
-LONGEST = 2048  # bytes of a frame that `Segment.frame` takes
+LONGEST = 2048  # bytes of a frame that `Segment.exchange_frame` takes
 
 SEGMENT = Header(DRIVES_CORE / "ethercat/ethercat.h", (DRIVES_CORE, *TICK_FOLDERS, SERVO_FOLDER))
 
 
-def ethercat_unit() -> Unit:
+def make_ethercat_unit() -> Unit:
     """Return drives and segment as a unit to compile."""
     source = '#include "ethercat/ethercat.cpp"\n'
-    return drives_unit("ethercat", source, (SEGMENT,), "the EtherCAT segment")
+    return make_drives_unit("ethercat", source, (SEGMENT,), "the EtherCAT segment")
 
 
-ethercat_library = compile_once(ethercat_unit)
+ethercat_library = compile_once(make_ethercat_unit)
 
 
 class Segment:
@@ -69,7 +69,7 @@ class Segment:
         if pointer:
             self._calls.ethercat_delete(pointer)
 
-    def frame(self, frame: bytes, now: int = 0) -> bytes:
+    def exchange_frame(self, frame: bytes, now: int = 0) -> bytes:
         """Pass an Ethernet frame through the slaves; return the reply, empty without one.
 
         Args:
@@ -81,7 +81,7 @@ class Segment:
         back = self._calls.ethercat_frame(self.pointer, self._room, size, now)
         return bytes(SEGMENT.ffi.buffer(self._room, back))
 
-    def period(self, now: int = 0) -> None:
+    def pass_period(self, now: int = 0) -> None:
         """Let a servo period pass without a frame; `now`: time of a clock [ns]."""
         self._calls.ethercat_period(self.pointer, now)
 
@@ -92,7 +92,7 @@ class Segment:
         self._calls.ethercat_get_figures(self.pointer, out)
         return out
 
-    def memory(self, slave: int) -> bytes:
+    def read_memory(self, slave: int) -> bytes:
         """Return registers and memory of a slave."""
         return bytes(SEGMENT.ffi.buffer(self._calls.ethercat_memory(self.pointer, slave), MEMORY))
 

@@ -36,32 +36,36 @@ class ModbusLine:
         if clock == "lockstep":
             converter.on_commands = converter.answer_tick
         elif clock == "realtime":
-            converter.on_commands = converter.offer
+            converter.on_commands = converter.offer_commands
 
     @property
     def time(self) -> int:
         """Time for which the line has been busy since the start [ns]."""
         return self._bytes * BITS_PER_BYTE * 10**9 // self.baud + self._silences * self._silence
 
-    def bring(self, data: bytes) -> bytes:
+    def exchange_bytes(self, data: bytes) -> bytes:
         """Return what comes back for the bytes that a master sends."""
         self._bytes += len(data)
-        return self._answer(self.receiver.feed(self.errors.damage(data)))
+        return self._answer_requests(self.receiver.take_bytes(self.errors.damage_bytes(data)))
 
-    def silence(self) -> bytes:
+    def note_silence(self) -> bytes:
         """Take note that the master has sent nothing for a while; return what comes back."""
-        return self._answer(self.receiver.silence()) if self.receiver.has_partial else b""
+        return (
+            self._answer_requests(self.receiver.note_silence())
+            if self.receiver.has_partial
+            else b""
+        )
 
-    def _answer(self, requests: list[bytes]) -> bytes:
+    def _answer_requests(self, requests: list[bytes]) -> bytes:
         replies = b""
         for request in requests:
             self._silences += 1
             self._follow()
-            reply = self.station.answer(request)
+            reply = self.station.answer_request(request)
             if reply:
                 self._bytes += len(reply)
                 self._silences += 1
-                replies += self.errors.damage(reply)
+                replies += self.errors.damage_bytes(reply)
         return replies
 
     def _follow(self) -> None:

@@ -109,9 +109,9 @@ def serve_port(port: SerialPort, line: ModbusLine) -> None:
         data = port.take(gap if waiting else REPORT_SILENCE)
         if data:
             silent = False
-            port.give(line.bring(data))
+            port.give(line.exchange_bytes(data))
         elif waiting:
-            port.give(line.silence())
+            port.give(line.note_silence())
         elif not silent:
             silent = True
             tick = line.converter.session.tick
@@ -146,19 +146,19 @@ class RealTimeService:
                     began = now
                     count = 0
                 count += len(data)
-                requests = receiver.feed(line.errors.damage(data))
+                requests = receiver.take_bytes(line.errors.damage_bytes(data))
             elif receiver.has_partial and now - last > gap:
-                requests = receiver.silence()
+                requests = receiver.note_silence()
             else:
                 continue
             for request in requests:
                 heard = began + compute_bytes_time(count, line.baud) + silence
                 self._wait_until(heard)
-                reply = line.station.answer(request)
+                reply = line.station.answer_request(request)
                 if reply:
                     duration = compute_bytes_time(len(reply), line.baud)
                     self._wait_until(max(heard, time.monotonic_ns()) + duration)
-                    self._port.give(line.errors.damage(reply))
+                    self._port.give(line.errors.damage_bytes(reply))
 
     def _wait_until(self, moment: int) -> None:
         while (left := moment - time.monotonic_ns()) > 0:
@@ -171,7 +171,7 @@ class RealTimeService:
         while converter.session.take():
             pass
         if converter.has_tripped():
-            converter.offer()
+            converter.offer_commands()
 
 
 def _print_report(words: str) -> None:

@@ -132,7 +132,7 @@ class FrameReceiver:
         """Whether there are bytes that wait for more, or for silence."""
         return bool(self._bytes)
 
-    def feed(self, data: bytes) -> list[bytes]:
+    def take_bytes(self, data: bytes) -> list[bytes]:
         """Take bytes, and return the requests that are complete."""
         buffer = self._bytes
         buffer += data
@@ -147,7 +147,7 @@ class FrameReceiver:
         del buffer[LARGEST_FRAME + 1 :]
         return requests
 
-    def silence(self) -> list[bytes]:
+    def note_silence(self) -> list[bytes]:
         """Take note that nothing came for 3.5 characters; return the request that ended so."""
         data = bytes(self._bytes)
         self._bytes.clear()
@@ -191,15 +191,15 @@ class ModbusStation:
         self._damaged = damaged
         self._damaged_before = 0
         self._functions: dict[int, Callable[[bytes], bytes]] = {
-            Function.READ_HOLDING: self._read,
-            Function.READ_INPUT: self._read,
+            Function.READ_HOLDING: self._read_registers,
+            Function.READ_INPUT: self._read_registers,
             Function.WRITE_SINGLE: self._write_single,
-            Function.DIAGNOSTICS: self._diagnostics,
-            Function.WRITE: self._write,
+            Function.DIAGNOSTICS: self._read_diagnostics,
+            Function.WRITE: self._write_registers,
             Function.READ_WRITE: self._read_write,
         }
 
-    def answer(self, request: bytes) -> bytes:
+    def answer_request(self, request: bytes) -> bytes:
         """Execute a sound frame, and return the reply; empty if none is due."""
         counters = self.counters
         counters.messages += 1
@@ -222,7 +222,7 @@ class ModbusStation:
             return b""
         return make_frame(self.number, bytes((function,)) + body)
 
-    def _read(self, data: bytes) -> bytes:
+    def _read_registers(self, data: bytes) -> bytes:
         address, count = _unpack_words(data, 2)
         _check_fit(1 <= count <= 125)
         words = self._registers.read(address, count)
@@ -233,7 +233,7 @@ class ModbusStation:
         self._registers.write(address, (word,))
         return data
 
-    def _write(self, data: bytes) -> bytes:
+    def _write_registers(self, data: bytes) -> bytes:
         _check_fit(len(data) >= 5)
         address, count = _unpack_words(data[:4], 2)
         _check_fit(1 <= count <= 123 and data[4] == 2 * count)
@@ -248,9 +248,9 @@ class ModbusStation:
         words = _unpack_words(data[9:], written)
         self._registers.read(address, count)
         self._registers.write(to, words)
-        return self._read(data[:4])
+        return self._read_registers(data[:4])
 
-    def _diagnostics(self, data: bytes) -> bytes:
+    def _read_diagnostics(self, data: bytes) -> bytes:
         _check_fit(len(data) >= 2)
         (sub,), rest = _unpack_words(data[:2], 1), data[2:]
         if sub == 0:  # return what was sent

@@ -44,15 +44,15 @@ class LineErrors:
         self.count = 0
         self._random = random.Random(seed)
         self._scale = 1.0 / math.log1p(-rate) if rate else None
-        self._until = self._gap()
+        self._until = self._draw_gap()
 
-    def _gap(self) -> int:
+    def _draw_gap(self) -> int:
         """Return how many sound bytes come before the next one that is damaged."""
         if self._scale is None:
             return -1
         return int(math.log(1.0 - self._random.random()) * self._scale)
 
-    def damage(self, data: bytes) -> bytes:
+    def damage_bytes(self, data: bytes) -> bytes:
         """Return what arrives of bytes."""
         if self._scale is None:
             return data
@@ -66,7 +66,7 @@ class LineErrors:
                 arrived.append(byte)
                 continue
             self.count += 1
-            self._until = self._gap()
+            self._until = self._draw_gap()
             if self._random.random() < 0.5:
                 mask = 0
                 while not mask:  # each bit with one half

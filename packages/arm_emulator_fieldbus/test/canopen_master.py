@@ -23,9 +23,9 @@ def drives_of(scene: Scene) -> Drives:
 
 def segment_of(scene: Scene, first: int = 1, *, operational: bool = False) -> CanSegment:
     segment = CanSegment(drives_of(scene), first)
-    segment.boot()
+    segment.boot_nodes()
     if operational:
-        segment.receive(CanFrame(0, bytes((1, 0))))
+        segment.receive_frame(CanFrame(0, bytes((1, 0))))
     return segment
 
 
@@ -76,7 +76,7 @@ def download(
 
 
 def sdo(segment: CanSegment, number: int, request: bytes) -> bytes:
-    (reply,) = segment.receive(CanFrame(0x600 + number, request))
+    (reply,) = segment.receive_frame(CanFrame(0x600 + number, request))
     assert reply.id == 0x580 + number and len(reply.data) == 8
     if reply.data[0] == 0x80:
         raise LookupError(struct.unpack("<I", reply.data[4:])[0])
@@ -99,15 +99,15 @@ def sent(frames: Sequence[CanFrame], id_: int) -> list[bytes]:
 
 def dumped(segment: CanSegment, number: int) -> list[bytes]:
     node = next(node for node in segment.nodes if node.number == number)
-    return [node.upload(entry.index, entry.sub) for entry in ENTRIES]
+    return [node.upload_entry(entry.index, entry.sub) for entry in ENTRIES]
 
 
 def enable(segment: CanSegment, mode: int) -> None:
     """Bring all drives to Operation enabled by process data, one SYNC per step."""
-    segment.receive(CanFrame(0, b"\1\0"))
+    segment.receive_frame(CanFrame(0, b"\1\0"))
     for word in (6, 7, 15):
         for node in segment.nodes:
-            segment.receive(CanFrame(0x200 + node.number, struct.pack("<Hb", word, mode)))
-        segment.receive(SYNC)
+            segment.receive_frame(CanFrame(0x200 + node.number, struct.pack("<Hb", word, mode)))
+        segment.receive_frame(SYNC)
     for node in segment.nodes:
         assert uploaded(segment, node.number, 0x6041, 0)[0] & 0x6F == 0x27, "Operation enabled"

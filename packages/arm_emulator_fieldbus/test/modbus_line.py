@@ -20,7 +20,10 @@ class Master:
 
     def ask(self, body: bytes) -> bytes:
         """Return the body of the reply to one request on a line without errors."""
-        reply = self.line.bring(sound(bytes((self.number,)) + body)) or self.line.silence()
+        reply = (
+            self.line.exchange_bytes(sound(bytes((self.number,)) + body))
+            or self.line.note_silence()
+        )
         assert is_sound(reply) and reply[0] == self.number
         return reply[1:-2]
 

@@ -31,7 +31,7 @@ def server() -> Iterator[CanServer]:
     goes_on.set()
     bus_server = CanServer(port=0)
     service = BusService(bus_server, load_segment("three_axis"), None)
-    thread = threading.Thread(target=service.serve, args=(goes_on.is_set,))
+    thread = threading.Thread(target=service.serve_nodes, args=(goes_on.is_set,))
     thread.start()
     yield bus_server
     goes_on.clear()

@@ -41,14 +41,14 @@ def scene() -> Scene:
 def test_nodes_boot_and_follow_network_management(scene: Scene) -> None:
     """Any commands in any order, against the table of CiA 301."""
     segment = CanSegment(drives_of(scene), 10)
-    assert segment.boot() == [CanFrame(0x700 + number, b"\0") for number in (10, 11, 12)]
+    assert segment.boot_nodes() == [CanFrame(0x700 + number, b"\0") for number in (10, 11, 12)]
     draw, model = random.Random(1), {number: 127 for number in (10, 11, 12)}
     toggle = {number: 0 for number in model}
     table = {1: 5, 2: 4, 128: 127, 129: 127, 130: 127}
     for _ in range(300):
         command = draw.choice([1, 2, 128, 129, 130, 0, 77])
         to = draw.choice([0, 9, 10, 11, 12, 13])
-        frames = segment.receive(CanFrame(0, bytes((command, to))))
+        frames = segment.receive_frame(CanFrame(0, bytes((command, to))))
         reached = [number for number in model if to in (0, number)]
         for number in reached:
             model[number] = table.get(command, model[number])
@@ -60,14 +60,16 @@ def test_nodes_boot_and_follow_network_management(scene: Scene) -> None:
             toggle[number] = 0
         for node_id in reached:
             toggle[node_id] = 0 if command in (129, 130) else toggle[node_id]
-        guarded = segment.receive(CanFrame(0x700 + number, remote=True))
+        guarded = segment.receive_frame(CanFrame(0x700 + number, remote=True))
         assert guarded == [CanFrame(0x700 + number, bytes((model[number] | toggle[number],)))]
         toggle[number] ^= 0x80
-        ask = segment.receive(CanFrame(0x600 + number, struct.pack("<BHB4x", 0x40, 0x1000, 0)))
+        ask = segment.receive_frame(
+            CanFrame(0x600 + number, struct.pack("<BHB4x", 0x40, 0x1000, 0))
+        )
         assert bool(ask) == (model[number] != 4), "no SDO while stopped"
     for data in (b"", b"\1", b"\1\0\0"):
         before = [node.state for node in segment.nodes]
-        segment.receive(CanFrame(0, data))
+        segment.receive_frame(CanFrame(0, data))
         assert [node.state for node in segment.nodes] == before
 
 
@@ -75,23 +77,23 @@ def test_receive_pdos_hold_from_the_next_sync_or_at_once(scene: Scene) -> None:
     segment = segment_of(scene)
     put(segment, 2, 0x1402, 2, 255, 1)
     position = struct.pack("<Hi", 0, 4711)
-    segment.receive(CanFrame(0x302, position))
+    segment.receive_frame(CanFrame(0x302, position))
     assert uploaded(segment, 2, 0x607A, 0) != position[2:], "pre-operational: no PDOs"
-    segment.receive(CanFrame(0, b"\1\0"))
+    segment.receive_frame(CanFrame(0, b"\1\0"))
     before = uploaded(segment, 2, 0x607A, 0)
-    segment.receive(CanFrame(0x302, position))
+    segment.receive_frame(CanFrame(0x302, position))
     assert uploaded(segment, 2, 0x607A, 0) == before, "waits for SYNC"
-    segment.receive(SYNC)
+    segment.receive_frame(SYNC)
     assert uploaded(segment, 2, 0x607A, 0) == position[2:]
-    segment.receive(CanFrame(0x402, struct.pack("<Hi", 0, -5)))
+    segment.receive_frame(CanFrame(0x402, struct.pack("<Hi", 0, -5)))
     assert uploaded(segment, 2, 0x60FF, 0) == struct.pack("<i", -5), "at once"
     assert uploaded(segment, 1, 0x60FF, 0) == bytes(4), "the other node's stays"
-    (reported,) = segment.receive(CanFrame(0x402, b"\1\2\3"))
+    (reported,) = segment.receive_frame(CanFrame(0x402, b"\1\2\3"))
     assert reported == CanFrame(0x82, struct.pack("<HB5x", 0x8210, 0)), "too short, and reported"
     assert uploaded(segment, 2, 0x60FF, 0) == struct.pack("<i", -5)
-    segment.receive(CanFrame(0x302, struct.pack("<Hi", 0, 1)))
+    segment.receive_frame(CanFrame(0x302, struct.pack("<Hi", 0, 1)))
     put(segment, 2, 0x1017, 0, 0, 2)  # another setting
-    segment.receive(SYNC)
+    segment.receive_frame(SYNC)
     assert uploaded(segment, 2, 0x607A, 0) == struct.pack("<i", 1), "what waited was kept"
 
 
@@ -99,10 +101,10 @@ def test_receive_pdos_hold_from_the_next_sync_or_at_once(scene: Scene) -> None:
 def test_transmit_pdos_come_with_every_nth_sync(scene: Scene, every: int) -> None:
     segment = segment_of(scene)
     put(segment, 1, 0x1801, 2, every, 1)
-    segment.receive(CanFrame(0, b"\1\0"))
+    segment.receive_frame(CanFrame(0, b"\1\0"))
     for k in range(1, 500):
         reported = uploaded(segment, 1, 0x6064, 0)
-        (*data,) = sent(segment.receive(SYNC), 0x281)
+        (*data,) = sent(segment.receive_frame(SYNC), 0x281)
         assert len(data) == (k % every == 0), k
         assert not data or data[0][2:] == reported, "as it was when SYNC came"
     assert segment.tick == 499, "one servo period per SYNC"
@@ -113,14 +115,16 @@ def test_transmit_pdos_on_event_on_request_and_by_timer(scene: Scene) -> None:
     put(segment, 1, 0x1800, 5, 3, 2)  # at the latest after 3 ms
     put(segment, 1, 0x1801, 2, 252, 1)
     put(segment, 1, 0x1802, 2, 253, 1)
-    frames = segment.receive(CanFrame(0, b"\1\0"))
+    frames = segment.receive_frame(CanFrame(0, b"\1\0"))
     assert len(sent(frames, 0x181)) == 1, "on entering operational"
-    counts = [len(sent(segment.receive(SYNC), 0x181)) for _ in range(9)]
+    counts = [len(sent(segment.receive_frame(SYNC), 0x181)) for _ in range(9)]
     assert counts == [0, 0, 1] * 3, "the statusword stands still: by the timer"
-    assert sent(segment.receive(CanFrame(0x281, remote=True)), 0x281), "sampled by SYNC"
-    assert sent(segment.receive(CanFrame(0x381, remote=True)), 0x381), "sampled when asked for"
+    assert sent(segment.receive_frame(CanFrame(0x281, remote=True)), 0x281), "sampled by SYNC"
+    assert sent(segment.receive_frame(CanFrame(0x381, remote=True)), 0x381), (
+        "sampled when asked for"
+    )
     put(segment, 1, 0x1802, 1, 0x80000381, 4)
-    assert not segment.receive(CanFrame(0x381, remote=True)), "switched off"
+    assert not segment.receive_frame(CanFrame(0x381, remote=True)), "switched off"
 
 
 def test_mapping_is_changed_as_the_standard_states(scene: Scene) -> None:
@@ -129,7 +133,7 @@ def test_mapping_is_changed_as_the_standard_states(scene: Scene) -> None:
     put(segment, 1, 0x1801, 1, 0x80000281, 4)
     put(segment, 1, 0x1A01, 0, 0, 1)
     put(segment, 1, 0x1801, 1, 0x281, 4)
-    assert not sent(segment.receive(SYNC), 0x281), "nothing is mapped"
+    assert not sent(segment.receive_frame(SYNC), 0x281), "nothing is mapped"
     put(segment, 1, 0x1801, 1, 0x80000281, 4)
     assert refused(segment, 1, 0x1A01, 1, 0x607A0020, 4) == 0x06040041, "it cannot transmit that"
     put(segment, 1, 0x1A01, 1, 0x60640020, 4)
@@ -139,10 +143,10 @@ def test_mapping_is_changed_as_the_standard_states(scene: Scene) -> None:
     put(segment, 1, 0x1A01, 0, 2, 1)
     put(segment, 1, 0x1801, 1, 0x123 + 0x200, 4)
     reported = uploaded(segment, 1, 0x6064, 0) + uploaded(segment, 1, 0x606C, 0)
-    assert sent(segment.receive(SYNC), 0x323) == [reported]
+    assert sent(segment.receive_frame(SYNC), 0x323) == [reported]
     fresh = dumped(segment_of(scene), 1)
-    segment.receive(CanFrame(0, bytes((128, 1))))
-    segment.receive(CanFrame(0, bytes((130, 1))))
+    segment.receive_frame(CanFrame(0, bytes((128, 1))))
+    segment.receive_frame(CanFrame(0, bytes((130, 1))))
     assert dumped(segment, 1) == fresh, "a reset of the communication restores it"
 
 
@@ -150,22 +154,22 @@ def test_heartbeats_are_sent_and_monitored(scene: Scene) -> None:
     segment = segment_of(scene, operational=True)
     put(segment, 1, 0x1017, 0, 10, 2)
     ms = 1_000_000
-    beats = [t for t in range(0, 100) if segment.heartbeats(5 * ms + t * ms)]
+    beats = [t for t in range(0, 100) if segment.send_heartbeats(5 * ms + t * ms)]
     assert beats == list(range(0, 100, 10))
-    assert segment.heartbeats(200 * ms) == [CanFrame(0x701, b"\5")]
-    assert segment.receive(CanFrame(0x701, remote=True)) == [], "no guarding beside it"
+    assert segment.send_heartbeats(200 * ms) == [CanFrame(0x701, b"\5")]
+    assert segment.receive_frame(CanFrame(0x701, remote=True)) == [], "no guarding beside it"
     put(segment, 2, 0x1016, 1, 0x7F << 16 | 5, 4)
     for _ in range(20):
-        assert not sent(segment.receive(SYNC), 0x82), "not heard yet: not watched"
+        assert not sent(segment.receive_frame(SYNC), 0x82), "not heard yet: not watched"
     for _ in range(3):
-        segment.receive(CanFrame(0x77F, b"\5"))
+        segment.receive_frame(CanFrame(0x77F, b"\5"))
         for _ in range(5):
-            assert not sent(segment.receive(SYNC), 0x82)
-    lost = sent(segment.receive(SYNC), 0x82)
+            assert not sent(segment.receive_frame(SYNC), 0x82)
+    lost = sent(segment.receive_frame(SYNC), 0x82)
     assert [data[:2] for data in lost] == [b"\x30\x81"], "life guard error"
     assert [node.state for node in segment.nodes] == [5, NmtState.PRE_OPERATIONAL, 5]
     for _ in range(10):
-        assert not sent(segment.receive(SYNC), 0x82), "reported once"
+        assert not sent(segment.receive_frame(SYNC), 0x82), "reported once"
 
 
 # Mode, identifier of the RPDO with its target, of the TPDO with what became of it; their entries.
@@ -188,7 +192,7 @@ def test_a_motion_by_frames_is_that_of_the_drives(
         for k in range(3):
             drives.write(k, 0x6060, mode)
             drives.write(k, 0x6040, word)
-        drives.period()
+        drives.advance_periods()
     start = [drives.read(k, 0x6064) for k in range(3)]
     counts = 0.3 * 1024 / (2 * np.pi) / scene.gear_ratios  # 0.3 rad
     turning = 2 * np.pi * rng.uniform(0.3, 1.0, 3)
@@ -201,14 +205,14 @@ def test_a_motion_by_frames_is_that_of_the_drives(
         }[mode]
         targets = np.rint(positions).astype(int).tolist()
         for k, position in enumerate(targets):
-            segment.receive(CanFrame(rx + 3 + k, struct.pack(layout, 15, position)))
-        frames = segment.receive(SYNC)
+            segment.receive_frame(CanFrame(rx + 3 + k, struct.pack(layout, 15, position)))
+        frames = segment.receive_frame(SYNC)
         for k, position in enumerate(targets):
             reported = struct.unpack(layout, sent(frames, tx + 3 + k)[0])
             assert reported == (drives.read(k, 0x6041), drives.read(k, actual)), f"at SYNC {tick}"
             drives.write(k, 0x6040, 15)
             drives.write(k, target, position)
-        drives.period()
+        drives.advance_periods()
         if mode == 8:  # 0.004 rad at the link, some periods' way
             assert all(abs(drives.read(k, actual) - targets[k]) < 60 for k in range(3))
     assert segment.drives.plant.save() == drives.plant.save()
@@ -222,7 +226,7 @@ def test_sync_stands_for_the_shortest_communication_cycle_period(scene: Scene) -
     for number, us, passed in ((1, 0, 1), (1, 4000, 4), (2, 7000, 4), (3, 2000, 2), (3, 0, 4)):
         put(segment, number, 0x1006, 0, us, 4)
         before = segment.tick
-        segment.receive(SYNC)
+        segment.receive_frame(SYNC)
         assert segment.tick - before == passed, f"{us} us set at node {number}"
 
 
@@ -232,7 +236,7 @@ def test_a_communication_cycle_period_that_is_rounded_is_noted(scene: Scene, us:
     segment = segment_of(scene)
     put(segment, 2, 0x1006, 0, us, 4)
     for _ in range(2):
-        segment.receive(SYNC)
+        segment.receive_frame(SYNC)
     assert segment.periods_per_sync == max(1, math.floor(us / 1000 + 0.5))
     words = f"node 2: 0x1006 is {us / 1000:g} servo periods: SYNC stands for "
     assert segment.notices == ([words + str(segment.periods_per_sync)] if us % 1000 else [])
@@ -243,35 +247,35 @@ def test_a_stopped_node_and_a_lost_master_take_the_drives_off(scene: Scene) -> N
         segment = segment_of(scene)
         enable(segment, CSP)
         if command:
-            segment.receive(CanFrame(0, command))
+            segment.receive_frame(CanFrame(0, command))
         else:
             put(segment, 1, 0x1016, 1, 0x7F << 16 | 3, 4)
-            segment.receive(CanFrame(0x77F, b"\5"))
+            segment.receive_frame(CanFrame(0x77F, b"\5"))
         for _ in range(100):
-            segment.receive(SYNC)
+            segment.receive_frame(SYNC)
         node = segment.nodes[0]
-        assert node.upload(0x6041, 0)[0] & 0x4F == 0x08, "Fault, as 0x6007 states"
-        assert node.upload(0x603F, 0) == code
-        assert segment.nodes[1].upload(0x6041, 0)[0] & 0x6F == 0x27, "the others go on"
-        segment.receive(CanFrame(0, b"\x81\1"))
-        assert not sent(segment.receive(SYNC), 0x81), "a reset node has nothing to report"
-        assert node.upload(0x6041, 0)[0] & 0x4F == 0x40, "Switch on disabled"
+        assert node.upload_entry(0x6041, 0)[0] & 0x4F == 0x08, "Fault, as 0x6007 states"
+        assert node.upload_entry(0x603F, 0) == code
+        assert segment.nodes[1].upload_entry(0x6041, 0)[0] & 0x6F == 0x27, "the others go on"
+        segment.receive_frame(CanFrame(0, b"\x81\1"))
+        assert not sent(segment.receive_frame(SYNC), 0x81), "a reset node has nothing to report"
+        assert node.upload_entry(0x6041, 0)[0] & 0x4F == 0x40, "Switch on disabled"
 
 
 def test_a_machine_that_diverged_stays_and_its_nodes_answer(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     segment = segment_of(scene, operational=True)
-    segment.receive(SYNC)
+    segment.receive_frame(SYNC)
     still = np.zeros(3)
     diverged = Diverged("waist", 0.001, scene, still, still, still)
 
     def diverge() -> None:
         raise diverged
 
-    monkeypatch.setattr(segment.drives, "period", diverge)
+    monkeypatch.setattr(segment.drives, "advance_periods", diverge)
     for _ in range(3):
-        assert sent(segment.receive(SYNC), 0x281), "SYNC is answered"
+        assert sent(segment.receive_frame(SYNC), 0x281), "SYNC is answered"
     assert segment.fault is diverged and segment.tick == 1
     assert uploaded(segment, 1, 0x1000, 0) == b"\x92\x01\x02\0"
 
@@ -318,7 +322,7 @@ def test_random_frames_leave_sound_nodes(scene: Scene, seed: int) -> None:
         frame = noise(draw, numbers)
         look = k % 50 == 0 and frame.id not in (0, 0x80)
         before = list_everything(segment) if look else None
-        frames = segment.receive(frame)
+        frames = segment.receive_frame(frame)
         assert all(0 <= frame.id < 0x800 and len(frame.data) <= 8 for frame in frames)
         if not look:
             continue
@@ -329,7 +333,7 @@ def test_random_frames_leave_sound_nodes(scene: Scene, seed: int) -> None:
             looked += 1
     assert looked > FRAMES // 4 // 50 // 8
     assert np.isfinite(segment.drives.plant.state.q).all()
-    segment.receive(CanFrame(0, b"\x81\0"))
+    segment.receive_frame(CanFrame(0, b"\x81\0"))
     for number in numbers:
         assert uploaded(segment, number, 0x1000, 0) == b"\x92\x01\x02\0", "it still answers"
 
@@ -339,8 +343,8 @@ def ids_of(segment: CanSegment) -> set[int]:
     ids = set()
     for node in segment.nodes:
         for index, sub in [(0x1005, 0), *((0x1400 + k, 1) for k in range(4))]:
-            ids.add(int.from_bytes(node.upload(index, sub), "little") & 0x7FF)
-        ids.add(0x700 + (int.from_bytes(node.upload(0x1016, 1), "little") >> 16 & 0x7F))
+            ids.add(int.from_bytes(node.upload_entry(index, sub), "little") & 0x7FF)
+        ids.add(0x700 + (int.from_bytes(node.upload_entry(0x1016, 1), "little") >> 16 & 0x7F))
     return ids
 
 

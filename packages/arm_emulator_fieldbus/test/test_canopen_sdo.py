@@ -57,7 +57,7 @@ def test_aborts_change_nothing(
 def test_a_segment_without_a_transfer_names_no_object(scene: Scene, head: int) -> None:
     segment = segment_of(scene)
     uploaded(segment, 1, 0x6041, 0)  # expedited: it is over with its reply
-    (reply,) = segment.receive(CanFrame(0x601, bytes((head,)) + bytes(7)))
+    (reply,) = segment.receive_frame(CanFrame(0x601, bytes((head,)) + bytes(7)))
     assert struct.unpack("<BHBI", reply.data) == (0x80, 0, 0, 0x05040001)
 
 
@@ -69,8 +69,8 @@ def test_uploads_in_segments_that_go_wrong_are_aborted(scene: Scene) -> None:
         with pytest.raises(LookupError) as no:
             sdo(segment, 1, bytes((head,)) + bytes(7))
         assert no.value.args[0] == code
-    assert segment.receive(CanFrame(0x601, b"\x80" + bytes(7))) == [], "the client's abort"
-    assert segment.receive(CanFrame(0x601, ask[:7])) == [], "seven bytes"
+    assert segment.receive_frame(CanFrame(0x601, b"\x80" + bytes(7))) == [], "the client's abort"
+    assert segment.receive_frame(CanFrame(0x601, ask[:7])) == [], "seven bytes"
     assert uploaded(segment, 1, 0x1008, 0) == scene.name.encode()
 
 
@@ -90,12 +90,12 @@ def test_block_uploads_bring_every_entry_whatever_is_lost(scene: Scene, seed: in
     segment, draw = segment_of(scene), random.Random(seed)
 
     def ask(request: bytes) -> list[bytes]:
-        return sent(segment.receive(CanFrame(0x601, request)), 0x581)
+        return sent(segment.receive_frame(CanFrame(0x601, request)), 0x581)
 
     for sampled in [entry for entry in ENTRIES if not entry.bits] + draw.sample(ENTRIES, 40):
         size = draw.randint(1, 127)
         (reply,) = ask(struct.pack("<BHBBB2x", 0xA4, sampled.index, sampled.sub, size, 0))
-        expected = segment.nodes[0].upload(sampled.index, sampled.sub)
+        expected = segment.nodes[0].upload_entry(sampled.index, sampled.sub)
         assert reply == struct.pack("<BHBI", 0xC6, sampled.index, sampled.sub, len(expected))
         value, segments = b"", ask(b"\xa3" + bytes(7))
         while True:
@@ -120,7 +120,7 @@ def test_block_downloads_take_the_value_only_when_complete(scene: Scene, seed: i
     segment, draw = segment_of(scene), random.Random(seed)
 
     def ask(request: bytes) -> list[bytes]:
-        return sent(segment.receive(CanFrame(0x601, request)), 0x581)
+        return sent(segment.receive_frame(CanFrame(0x601, request)), 0x581)
 
     for _ in range(40):
         before = uploaded(segment, 1, 0x607A, 0)
@@ -159,7 +159,7 @@ def test_block_transfers_that_go_wrong_are_aborted(scene: Scene) -> None:
 
     def code(*requests: bytes) -> int:
         for request in requests:
-            replies = sent(segment.receive(CanFrame(0x601, request)), 0x581)
+            replies = sent(segment.receive_frame(CanFrame(0x601, request)), 0x581)
         (reply,) = replies
         assert reply[:4] == struct.pack("<BHB", 0x80, 0x1008, 0)
         return int(struct.unpack("<I", reply[4:])[0])
@@ -211,7 +211,7 @@ def test_data_sheet_reports_every_entry(scene: Scene) -> None:
         if "DefaultValue" in section:
             text = section["DefaultValue"].replace("$NODEID", "7")
             value = sum(int(part, 0) for part in text.split("+"))
-            raw = node.upload(entry.index, entry.sub)
+            raw = node.upload_entry(entry.index, entry.sub)
             assert value == int.from_bytes(raw, "little", signed=value < 0), name
             assert low <= value <= high, f"default of {name}"
 

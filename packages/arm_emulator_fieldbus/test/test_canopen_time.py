@@ -25,7 +25,7 @@ from arm_emulator_fieldbus.drives_unit import CANOPEN
 
 def can_segment(*, lockstep: bool) -> CanSegment:
     segment = CanSegment(Drives(Plant(PLAIN), SERVO, CANOPEN), 1, lockstep=lockstep)
-    segment.boot()
+    segment.boot_nodes()
     return segment
 
 
@@ -34,10 +34,10 @@ EVERYTHING = ("SYNC", "RPDO", "guarding")
 
 def turning(segment: CanSegment) -> None:
     """Node 1 in cyclic velocity, with SYNC, RPDO 3 and guarding in each servo period."""
-    segment.receive(CanFrame(0, b"\1\0"))
+    segment.receive_frame(CanFrame(0, b"\1\0"))
     for k in range(330):
         word = (6, 7, 15)[min(k // 10, 2)]
-        segment.receive(CanFrame(0x201, struct.pack("<Hb", word, CSV)))
+        segment.receive_frame(CanFrame(0x201, struct.pack("<Hb", word, CSV)))
         cycle(segment, EVERYTHING, word)
     assert uploaded(segment, 1, STATUS, 0)[0] & 0x6F == 0x27
     assert speed(segment) > 5000
@@ -47,11 +47,11 @@ def cycle(segment: CanSegment, messages: Sequence[str], word: int = 15) -> list[
     """A servo period with some of the messages; guarding is answered and left out."""
     frames: list[CanFrame] = []
     if "RPDO" in messages:
-        frames += segment.receive(CanFrame(0x401, struct.pack("<Hi", word, 9000)))
+        frames += segment.receive_frame(CanFrame(0x401, struct.pack("<Hi", word, 9000)))
     if "SYNC" in messages:
-        frames += segment.receive(SYNC)
+        frames += segment.receive_frame(SYNC)
     if "guarding" in messages:
-        segment.receive(CanFrame(0x701, remote=True))
+        segment.receive_frame(CanFrame(0x701, remote=True))
     return frames + segment.pass_period()
 
 
@@ -89,7 +89,7 @@ def test_a_motor_stops_when_sync_or_targets_or_guarding_cease(messages: str) -> 
         assert uploaded(segment, 1, STATUS, 0)[0] & 0x4F == 0x08, "fault"
         assert uploaded(segment, 1, 0x603F, 0) == struct.pack("<H", code)
         assert abs(speed(segment)) < 500
-        segment.receive(CanFrame(0, b"\1\0"))  # operational, where it left that
+        segment.receive_frame(CanFrame(0, b"\1\0"))  # operational, where it left that
         for word in (0, 0x80):
             cycle(segment, EVERYTHING, word)
             cycle(segment, EVERYTHING, word)
@@ -119,14 +119,14 @@ def test_synchronous_data_after_the_window_is_ignored() -> None:
     for lockstep in (False, True):
         segment = can_segment(lockstep=lockstep)
         put(segment, 1, 0x1007, 0, 2000, 4)
-        segment.receive(CanFrame(0, b"\1\0"))
+        segment.receive_frame(CanFrame(0, b"\1\0"))
         for periods in (0, 1, 2, 3, 9):
-            segment.receive(SYNC)
+            segment.receive_frame(SYNC)
             for _ in range(periods):
                 segment.pass_period()
             target = struct.pack("<i", 1000 + periods)
-            segment.receive(CanFrame(0x301, struct.pack("<H", 0) + target))
-            segment.receive(SYNC)
+            segment.receive_frame(CanFrame(0x301, struct.pack("<H", 0) + target))
+            segment.receive_frame(SYNC)
             taken = uploaded(segment, 1, TARGET, 0) == target
             assert taken == (lockstep or periods <= 2), f"{periods} ms after SYNC"
 
@@ -140,7 +140,7 @@ def test_a_sync_stands_for_its_period_and_not_for_the_interpolation_time() -> No
         period = 0.01 if source == "option" else 0.0
         drives = Drives(Plant(PLAIN), SERVO, CANOPEN)
         segment = CanSegment(drives, 1, sync_period=period)
-        segment.boot()
+        segment.boot_nodes()
         put(segment, 1, 0x60C2, 1, 50, 1)
         put(segment, 1, 0x60C2, 2, 256 - 3, 1)
         if source == "0x1006":
@@ -149,10 +149,10 @@ def test_a_sync_stands_for_its_period_and_not_for_the_interpolation_time() -> No
         enable_nodes(segment, CSP)
         before = segment.tick
         start = struct.unpack("<i", uploaded(segment, 1, ACTUAL, 0))[0]
-        segment.receive(CanFrame(0x301, struct.pack("<Hi", 15, start + 500)))
+        segment.receive_frame(CanFrame(0x301, struct.pack("<Hi", 15, start + 500)))
         demands = []
         for _ in range(6):
-            segment.receive(SYNC)
+            segment.receive_frame(SYNC)
             demands.append(drives.read(0, 0x6062) - start)
         assert segment.tick - before == 60
         assert demands == [100, 200, 300, 400, 500, 500]
@@ -165,16 +165,16 @@ def test_a_sync_without_a_period_stands_for_a_servo_period() -> None:
     segment = segment_of(PLAIN)
     put(segment, 1, 0x60C2, 1, 50, 1)
     before = segment.tick
-    segment.receive(SYNC)
+    segment.receive_frame(SYNC)
     assert segment.tick == before + 1
 
 
 def test_the_interpolation_time_of_a_node_follows_the_period_of_sync() -> None:
     segment = segment_of(PLAIN)
     put(segment, 1, 0x1006, 0, 4000, 4)
-    assert segment.drives.periods_per_target(0) == 4
-    segment.receive(CanFrame(0, b"\x81\1"))  # a reset of the node
-    assert segment.drives.periods_per_target(0) == 1
+    assert segment.drives.count_periods_per_target(0) == 4
+    segment.receive_frame(CanFrame(0, b"\x81\1"))  # a reset of the node
+    assert segment.drives.count_periods_per_target(0) == 1
 
 
 @pytest.mark.parametrize("seconds", [-1.0, 4300.0, float("nan")])
@@ -185,8 +185,8 @@ def test_a_period_of_sync_that_0x1006_does_not_hold_is_refused(seconds: float) -
 
 def test_a_first_period_of_sync_that_is_rounded_is_noted() -> None:
     segment = CanSegment(Drives(Plant(PLAIN), SERVO, CANOPEN), 1, sync_period=0.0025)
-    segment.boot()
-    segment.receive(SYNC)
+    segment.boot_nodes()
+    segment.receive_frame(SYNC)
     rule = "0x1006 is 2.5 servo periods: SYNC stands for 3"
     assert segment.notices == [f"node {number}: {rule}" for number in (1, 2, 3)]
     assert segment.tick == 3

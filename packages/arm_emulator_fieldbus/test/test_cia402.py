@@ -48,14 +48,14 @@ def test_every_entry_can_be_read_and_begins_within_its_range() -> None:
         for entry in list_entries():
             if not entry.buses & bus:
                 with pytest.raises(Aborted, match="06020000"):
-                    drives.upload(0, entry.index, entry.sub)
+                    drives.upload_entry(0, entry.index, entry.sub)
                 continue
-            raw = drives.upload(0, entry.index, entry.sub)
+            raw = drives.upload_entry(0, entry.index, entry.sub)
             if entry.bits:
                 assert len(raw) == entry.bits // 8, f"bytes of {entry}"
                 value = drives.read(0, entry.index, entry.sub)
                 assert entry.least <= value <= entry.most, f"value of {entry}"
-        assert drives.upload(1, 0x1008) == b"three_axis", "name of the device"
+        assert drives.upload_entry(1, 0x1008) == b"three_axis", "name of the device"
         assert drives.read(2, 0x1018, 4) == 3, "serial number of the third drive"
 
 
@@ -117,7 +117,7 @@ def test_random_accesses_crash_nothing_and_refused_ones_change_nothing() -> None
         (entry.index, entry.sub): entry for entry in list_entries() if entry.buses & ETHERCAT
     }
     objects = {index for index, _ in entries}
-    model = {key: drives.upload(0, *key) for key in entries}
+    model = {key: drives.upload_entry(0, *key) for key in entries}
     writable = [key for key, entry in entries.items() if entry.access == "rw"]
     keys, taken, refused = list(entries), 0, 0
     for k in range(100_000 if FULL else 20_000):
@@ -129,10 +129,10 @@ def test_random_accesses_crash_nothing_and_refused_ones_change_nothing() -> None
             if entry is None:
                 code = 0x06090011 if key[0] in objects else 0x06020000
                 with pytest.raises(Aborted) as no:
-                    drives.upload(0, *key)
+                    drives.upload_entry(0, *key)
                 assert no.value.code == code, f"reading {key}"
             else:
-                assert drives.upload(0, *key) == model[key], f"value of {entry}"
+                assert drives.upload_entry(0, *key) == model[key], f"value of {entry}"
             continue
         size = entry.bits // 8 if entry and rng.random() < 0.9 else rng.randrange(9)
         raw = rng.choice((rng.randbytes(size), bytes(size), b"\x01" + bytes(max(0, size - 1))))
@@ -140,7 +140,7 @@ def test_random_accesses_crash_nothing_and_refused_ones_change_nothing() -> None
         value = int.from_bytes(raw, "little", signed=bool(entry and entry.type.startswith("INT")))
         expected = expected_abort(entry, key[0] in objects, raw, value, model.get(key, b""))
         try:
-            drives.download(0, *key, raw)
+            drives.download_entry(0, *key, raw)
             code = 0
         except Aborted as no:
             code = no.code
@@ -153,11 +153,13 @@ def test_random_accesses_crash_nothing_and_refused_ones_change_nothing() -> None
         else:
             refused += 1
         if k % 5000 == 0:
-            assert {key: drives.upload(0, *key) for key in entries} == model, "the whole dictionary"
-    assert {key: drives.upload(0, *key) for key in entries} == model, "the whole dictionary"
+            assert {key: drives.upload_entry(0, *key) for key in entries} == model, (
+                "the whole dictionary"
+            )
+    assert {key: drives.upload_entry(0, *key) for key in entries} == model, "the whole dictionary"
     assert min(taken, refused) > 2_000, f"{taken} taken, {refused} refused"
     # The drive runs with any settings.
-    drives.period(100)
+    drives.advance_periods(100)
 
 
 def test_a_mapping_is_taken_only_in_full_and_only_of_mappable_objects() -> None:
@@ -244,8 +246,8 @@ def bring(drives: Drives, where: str) -> None:
     for word in words:
         command(drives, word)
     if where == "fault":
-        drives.lost()
-        drives.period(2)  # to a stand
+        drives.report_loss()
+        drives.advance_periods(2)  # to a stand
     assert {state(drives, j) for j in range(N)} == {where}, "where the drives were brought"
 
 
@@ -262,11 +264,11 @@ def test_every_state_takes_every_command_as_the_table_states() -> None:
                 if before:  # it was an edge: to the fault once more, with the bit set
                     for step in (SHUTDOWN, SWITCH_ON, ENABLE):
                         command(drives, before | step)
-                    drives.lost()
-                    drives.period(2)
+                    drives.report_loss()
+                    drives.advance_periods(2)
             reported = command_of(word, before, where)
             drives.write(0, CONTROL, word)
-            drives.period()
+            drives.advance_periods()
             transition, after = TABLE.get((where, reported), (0, where))
             assert state(drives) == after, f"from {where} by 0x{word:02x} after 0x{before:02x}"
             transitions.add(transition)
@@ -327,18 +329,18 @@ def test_random_commands_options_and_losses_lead_where_a_model_states(seed: int)
             model.options[index] = rng.randrange({0x605A: 9, 0x6007: 4}.get(index, 2))
             drives.write(0, index, model.options[index])
         elif 0.05 < event < 0.07:
-            drives.lost(0)
+            drives.report_loss(0)
             model.lose_master()
         elif 0.07 < event < 0.09:
             drives.plant.powered = model.powered = not model.powered
             if not model.powered:
                 model.lose_power()
             model.take(model.word)  # which is still there
-            drives.period()
-        drives.period(4)
+            drives.advance_periods()
+        drives.advance_periods(4)
         word = rng.choice(likely) if rng.random() < 0.8 else rng.randrange(256)
         drives.write(0, CONTROL, word)
-        drives.period(5)
+        drives.advance_periods(5)
         model.take(word)
         assert state(drives) == model.state, f"after word {k}, 0x{word:02x}, {model.options}"
         states.add(model.state)
@@ -378,8 +380,8 @@ def test_the_same_words_give_the_same_bits() -> None:
                 drives.write(j, TARGET, drives.read(j, ACTUAL) + rng.randrange(-50, 50))
                 drives.write(j, 0x60FF, rng.randrange(-2000, 2000))
                 drives.write(j, 0x6071, rng.randrange(-50, 50))
-            drives.period()
-            reported.append(drives.upload(0, ACTUAL) + drives.upload(1, STATUS))
+            drives.advance_periods()
+            reported.append(drives.upload_entry(0, ACTUAL) + drives.upload_entry(1, STATUS))
         return drives.plant.save(), reported
 
     assert run() == run(), "the whole machine and what the drives report"

@@ -77,7 +77,7 @@ def test_working_counters_and_positions_are_those_of_the_standard(master: Master
         (77, at(0, 0x10), 0, 0),
     ]
     for command, address, counter, position in cases:
-        back = master.segment.frame(frame((command, address, two)))
+        back = master.segment.exchange_frame(frame((command, address, two)))
         assert read_replies(back)[0][1] == counter, (
             f"working counter of command {command} at {address:#x}"
         )
@@ -112,7 +112,7 @@ def test_the_line_ends_at_its_last_slave_and_where_a_port_is_closed(master: Mast
     master.write(1, 0x0101, b"\x00")
     assert master.one(BRD, 0, bytes(1))[1] == 3, "and reaches the last again"
     master.write(2, 0x0101, b"\x08")  # open where nothing is connected
-    assert master.segment.frame(frame((NOP, 0, b""))) == b"", "the frame is lost there"
+    assert master.segment.exchange_frame(frame((NOP, 0, b""))) == b"", "the frame is lost there"
 
 
 def test_a_slave_uses_its_alias_once_the_master_has_enabled_it(master: Master) -> None:
@@ -283,7 +283,7 @@ def test_counters_and_time_fit_the_states_under_any_order_of_a_master(seed: int)
     states: set[int] = set()
     for step in range(300):
         k = int(rng.integers(master.slaves))
-        place = master.segment.memory(k)
+        place = master.segment.read_memory(k)
         action = rng.integers(8)
         if action < 2:
             master.ask(k, int(rng.choice([INIT, PREOP, SAFEOP, OP])) | ACKNOWLEDGE)
@@ -304,7 +304,7 @@ def test_counters_and_time_fit_the_states_under_any_order_of_a_master(seed: int)
         elif action == 7:
             unit = 0x060C + 16 * int(rng.integers(2))
             master.write(k, unit, bytes([place[unit] ^ 1]))
-        memories = [master.segment.memory(j) for j in range(master.slaves)]
+        memories = [master.segment.read_memory(j) for j in range(master.slaves)]
         at_work = [memory for memory in memories if works(memory)]
         states |= {memory[0x0130] for memory in memories}
         assert all(map(sound_cycle, at_work)), f"step {step}: SYNC0 cuts periods"
@@ -325,12 +325,12 @@ def test_counters_and_time_fit_the_states_under_any_order_of_a_master(seed: int)
 
 
 def test_a_reset_puts_a_controller_to_where_it_began(master: Master) -> None:
-    fresh = segment().memory(1)
+    fresh = segment().read_memory(1)
     master.bring_up()
     for letter in b"RES":
         master.write(1, 0x0040, bytes([letter]))
     assert master.one(FPRD, at(STATION + 1, 0x10), bytes(2))[1] == 0, "no address any more"
-    assert master.segment.memory(1)[:0x0900] == fresh[:0x0900], "registers as at the beginning"
+    assert master.segment.read_memory(1)[:0x0900] == fresh[:0x0900], "registers as at the beginning"
 
 
 def test_interfaces_and_files_that_cannot_be_opened_are_refused(

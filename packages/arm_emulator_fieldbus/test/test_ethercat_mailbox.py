@@ -30,7 +30,7 @@ def test_complete_access_reads_all_of_an_object(master: Master) -> None:
         if len(subs) == 1:
             continue
         count = min(drives.read(0, index), len(subs) - 1)
-        values = b"".join(drives.upload(0, index, k + 1) for k in range(count))
+        values = b"".join(drives.upload_entry(0, index, k + 1) for k in range(count))
         complete = master.upload(0, index, 0, complete=True)
         assert complete == struct.pack("<H", count) + values, f"{index:#x} from sub 0"
         if count:
@@ -94,7 +94,7 @@ def test_mailboxes_of_any_size_report_the_same(mailbox: int) -> None:
     master.download(0, 0x1600, 0, data, complete=True, part=mailbox - 16)
     assert master.upload(0, 0x1600, 0, complete=True) == data, "a mapping in segments"
     for index in (0x1008, 0x1009, 0x100A):
-        assert master.upload(0, index) == drives.upload(0, index), "texts"
+        assert master.upload(0, index) == drives.upload_entry(0, index), "texts"
     objects = sorted({entry.index for entry in drives.entries if entry.buses & ETHERCAT})
     raw = master.information(0, 1, struct.pack("<H", 1))
     assert list(struct.unpack(f"<{len(raw) // 2}H", raw))[1:] == objects, "a list in fragments"
@@ -180,7 +180,7 @@ def test_a_mailbox_holds_a_single_message_and_repeats_it(master: Master) -> None
 
 def test_datagrams_report_events_that_the_master_has_requested(master: Master) -> None:
     def events() -> int:
-        back = master.segment.frame(frame((NOP, 0, b"")))
+        back = master.segment.exchange_frame(frame((NOP, 0, b"")))
         return int(struct.unpack_from("<H", back, 24)[0])
 
     master.preop(0)

@@ -109,7 +109,7 @@ def test_any_mapping_carries_the_objects_that_it_names(master: Master, seed: int
     assert master.ask(0, OP) == (OP, 0), "in OP"
     for _ in range(5):
         expected = b"".join(
-            twin.upload(0, word >> 16, word >> 8 & 0xFF) if word >> 16 else bytes(word // 8)
+            twin.upload_entry(0, word >> 16, word >> 8 & 0xFF) if word >> 16 else bytes(word // 8)
             for word in mapped[1]
         )
         sent = rng.bytes(out)
@@ -118,18 +118,18 @@ def test_any_mapping_carries_the_objects_that_it_names(master: Master, seed: int
             size = (word & 0xFF) // 8
             if word >> 16:
                 with contextlib.suppress(DictionaryAborted):  # a value out of its range
-                    twin.download(0, word >> 16, word >> 8 & 0xFF, sent[place : place + size])
+                    twin.download_entry(0, word >> 16, word >> 8 & 0xFF, sent[place : place + size])
             place += size
         back, count = master.one(LRW, 0x10000, sent + bytes(into))
         assert count == 2 * bool(out) + bool(into), "written and read"
         assert back[out:] == expected, "inputs are the values that the drive had"
         if out or into:
-            twin.period()
+            twin.advance_periods()
         assert drives.tick == twin.tick, "as many servo periods"
         for mapped_entry in there:
             if not 0x1600 <= mapped_entry.index <= 0x1C13:
-                value = drives.upload(0, mapped_entry.index, mapped_entry.sub)
-                assert value == twin.upload(0, mapped_entry.index, mapped_entry.sub), (
+                value = drives.upload_entry(0, mapped_entry.index, mapped_entry.sub)
+                assert value == twin.upload_entry(0, mapped_entry.index, mapped_entry.sub), (
                     f"{mapped_entry.index:#x}:{mapped_entry.sub}"
                 )
 
@@ -152,10 +152,10 @@ def test_single_bits_are_mapped_where_they_shall_be(master: Master, shift: int) 
     data = (value << shift).to_bytes(64, "little") + bytes(into + 1)
     back, count = master.one(LRW, 0, data)
     assert count == 3, "read and written"
-    assert master.segment.memory(0)[0x1200 : 0x1200 + out] == value.to_bytes(out, "little"), (
+    assert master.segment.read_memory(0)[0x1200 : 0x1200 + out] == value.to_bytes(out, "little"), (
         "outputs"
     )
-    expected = master.segment.memory(0)[0x1500 : 0x1500 + into]
+    expected = master.segment.read_memory(0)[0x1500 : 0x1500 + into]
     # The frame reports inputs as they were before the servo period that it set off.
     bits = int.from_bytes(back[64:], "little") >> shift
     reported = bits.to_bytes(into + 1, "little")[:into]
@@ -168,12 +168,12 @@ def test_a_watchdog_that_runs_out_takes_the_slave_to_safeop() -> None:
     for _ in range(50):
         master.exchange([bytes(master.out)] * master.slaves)
         master.now += PERIOD
-        master.segment.period(master.now)
+        master.segment.pass_period(master.now)
     assert master.segment.figures.watchdogs == 0, "while outputs come"
     silent = 0
     while master.segment.figures.watchdogs == 0:
         master.now += PERIOD
-        master.segment.period(master.now)
+        master.segment.pass_period(master.now)
         silent += 1
         assert silent < 1000, "the watchdog never runs out"
     # The first silent period already ended 2 ms after the newest outputs.
@@ -203,7 +203,7 @@ def enable(master: Master, mode: int = 8) -> list[tuple[int, int]]:
         reported = [struct.unpack_from("<Hi", image) for image in master.exchange(outputs)]
         if not master.segment.lockstep:
             master.now += PERIOD
-            master.segment.period(master.now)
+            master.segment.pass_period(master.now)
         if all(status & 0x6F == 0x27 for status, _ in reported):
             return reported
     raise AssertionError(f"drives are not enabled: {[hex(status) for status, _ in reported]}")
@@ -215,7 +215,7 @@ def test_a_lost_master_faults_the_drives_until_they_are_reset() -> None:
     enable(master)
     for _ in range(200):
         master.now += PERIOD
-        master.segment.period(master.now)
+        master.segment.pass_period(master.now)
     for k in range(master.slaves):
         assert (master.word(k, 0x0130), master.word(k, 0x0134)) == (SAFEOP | ERROR, 0x1B), "lost"
         assert master.number(k, 0x603F) == 0x821B, "the drive's error: its sync manager's watchdog"
@@ -236,13 +236,13 @@ def test_a_lost_master_faults_the_drives_until_they_are_reset() -> None:
 def test_lost_cycles_are_counted_by_the_clock() -> None:
     master = Master(segment(lockstep=False))
     master.bring_up()
-    master.segment.period(master.now)
+    master.segment.pass_period(master.now)
     before = master.segment.figures.lost_cycles
     for k in range(20):
         if k % 4:
             master.exchange([bytes(master.out)] * master.slaves)
         master.now += PERIOD
-        master.segment.period(master.now)
+        master.segment.pass_period(master.now)
     assert master.segment.figures.lost_cycles == before + 5, "every fourth"
 
 
@@ -367,20 +367,20 @@ def bad_frame(rng: np.random.Generator, sound: bytes) -> bytes:
 def test_malformed_frames_change_nothing_and_are_counted(master: Master) -> None:
     master.bring_up()
     rng = np.random.default_rng(7)
-    before = [master.segment.memory(k) for k in range(master.slaves)]
+    before = [master.segment.read_memory(k) for k in range(master.slaves)]
     tick, frames = master.segment.drives.tick, master.segment.figures.frames
     counted = 300
     for _ in range(counted):
         command = int(rng.integers(1, 15))
         place = at(int(rng.choice([0, STATION])), int(rng.choice([0x120, 0x800, 0x1000, 0x1200])))
         sound = frame((command, place, rng.bytes(int(rng.integers(1, 200)))))
-        assert master.segment.frame(bad_frame(rng, sound)) == b"", "nothing comes back"
+        assert master.segment.exchange_frame(bad_frame(rng, sound)) == b"", "nothing comes back"
     figures = master.segment.figures
     thrown = figures.malformed + figures.foreign + figures.circulating
     assert (thrown, figures.frames) == (counted, frames), "each is counted, none carried out"
     assert figures.malformed and figures.foreign and figures.circulating, "each class came up"
     for k, memory in enumerate(before):
-        now = master.segment.memory(k)
+        now = master.segment.read_memory(k)
         changed = {at_ for at_ in range(len(now)) if now[at_] != memory[at_]}
         assert changed <= {0x030C}, f"slave {k}: {sorted(map(hex, changed))}"
     assert master.read(0, 0x030C, 1)[0] == min(figures.malformed, 255), "as the first slave reports"
@@ -396,10 +396,12 @@ def test_frames_of_any_shape_do_no_harm(master: Master) -> None:
     for _ in some(range(30_000), 2_000):
         body = rng.bytes(int(rng.integers(0, 120)))
         ethernet = HEADER + struct.pack("<H", 0x1000 | len(body)) + body
-        back = master.segment.frame(ethernet if rng.random() < 0.9 else rng.bytes(len(ethernet)))
+        back = master.segment.exchange_frame(
+            ethernet if rng.random() < 0.9 else rng.bytes(len(ethernet))
+        )
         assert back == b"" or len(back) == len(ethernet), "a frame keeps its length"
     for k in range(master.slaves):
-        assert master.segment.memory(k)[0x0130] & 15 in (INIT, PREOP, SAFEOP, OP), "a state"
+        assert master.segment.read_memory(k)[0x0130] & 15 in (INIT, PREOP, SAFEOP, OP), "a state"
 
 
 def test_real_time_keeps_up_with_the_clock() -> None:

@@ -39,7 +39,7 @@ class CanOpen:
         self._draw = random.Random(3)
 
     def sdo(self, request: bytes) -> bytes:
-        (reply,) = self.segment.receive(CanFrame(0x602, request.ljust(8, b"\0")))
+        (reply,) = self.segment.receive_frame(CanFrame(0x602, request.ljust(8, b"\0")))
         return reply.data
 
     def upload(self, index: int, sub: int) -> bytes:
@@ -56,8 +56,8 @@ class CanOpen:
     def cycle(self, words: list[int], positions: list[int]) -> None:
         for k in DRIVES:
             data = struct.pack("<Hi", words[k], positions[k])
-            self.segment.receive(CanFrame(0x301 + k, data))
-        frames = self.segment.receive(SYNC)
+            self.segment.receive_frame(CanFrame(0x301 + k, data))
+        frames = self.segment.receive_frame(SYNC)
         for k in DRIVES:
             for data in sent(frames, 0x81 + k):
                 code, register = struct.unpack_from("<HB", data)
@@ -128,13 +128,13 @@ def test_every_entry_is_read_and_written_as_the_drive_has_it(bus: Bus) -> None:
         if not entry.buses & bus.kind:
             continue
         at = entry.index, entry.sub
-        assert bus.upload(*at) == bus.own.get(at, bus.drives.upload(1, *at)), entry
+        assert bus.upload(*at) == bus.own.get(at, bus.drives.upload_entry(1, *at)), entry
         count += 1
         if entry.access == "rw" and entry.index >= 0x6000 and entry.index != 0x6040:
             value = draw.randint(entry.least, entry.most) & (1 << entry.bits) - 1
             raw, expected = value.to_bytes(entry.bits // 8, "little"), 0
             try:  # what another drive answers to the same
-                bus.drives.download(2, *at, raw)
+                bus.drives.download_entry(2, *at, raw)
             except dictionaries.Aborted as no:
                 expected = no.code
             assert bus.download(*at, raw) == expected, entry
@@ -168,7 +168,7 @@ def test_an_sdo_that_cannot_be_changes_nothing(
     bus: Bus, case: str, requests: list[str], code: int
 ) -> None:
     entries = [entry for entry in list_entries() if entry.buses & bus.kind]
-    before = [bus.drives.upload(1, entry.index, entry.sub) for entry in entries]
+    before = [bus.drives.upload_entry(1, entry.index, entry.sub) for entry in entries]
     for text in requests:
         request = bytes.fromhex(text)
         reply = bus.sdo(request)
@@ -176,7 +176,7 @@ def test_an_sdo_that_cannot_be_changes_nothing(
     if "nothing" not in case:  # else it is any object
         named = bytes.fromhex(requests[0])[1:4] if case != "which ends the transfer" else b""
         assert reply[1:4] == named.ljust(3, b"\0"), "the object of the transfer"
-    assert [bus.drives.upload(1, entry.index, entry.sub) for entry in entries] == before
+    assert [bus.drives.upload_entry(1, entry.index, entry.sub) for entry in entries] == before
     assert bus.upload(0x1008, 0) == SCENE.name.encode(), "the server goes on"
 
 
@@ -237,7 +237,7 @@ def test_both_buses_answer_alike(seed: int) -> None:
     toggle, announced, aborts, taken = 0, 0, set(), 0
     for _ in range(REQUESTS):
         sdo_request = request(draw, toggle, announced)
-        replies = by_can.sdo(0, sdo_request)
+        replies = by_can.serve_sdo(0, sdo_request)
         if sdo_request[0] >> 5 == 4:
             assert replies == [], "a client that gives up gets no answer"
             master.mail(0, b"\0\x20" + sdo_request)
@@ -256,7 +256,7 @@ def test_both_buses_answer_alike(seed: int) -> None:
     assert taken >= 10, "segments that were taken"
     for entry in BOTH:
         at = entry.index, entry.sub
-        assert by_can.upload(0, *at) == master.segment.drives.upload(0, *at), entry
+        assert by_can.upload_entry(0, *at) == master.segment.drives.upload_entry(0, *at), entry
 
 
 def test_a_unit_behind_a_bearing_belongs_to_the_joint() -> None:

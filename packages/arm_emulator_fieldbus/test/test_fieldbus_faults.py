@@ -36,7 +36,7 @@ def scene() -> Scene:
 
 def over_canopen(scene: Scene) -> tuple[Drives, Read, Write]:
     segment = CanSegment(Drives(Plant(scene), SERVO, CANOPEN), 1)
-    segment.boot()
+    segment.boot_nodes()
 
     def write(index: int, raw: bytes) -> int:
         try:
@@ -104,7 +104,7 @@ def test_a_refused_access_leaves_fault_and_choice(scene: Scene, bus: Bus) -> Non
 def test_drives_of_a_scene_without_faults_have_none() -> None:
     drives = Drives(Plant(load_scene("three_axis")), SERVO, ETHERCAT)
     assert (drives.read(0, COUNT), drives.read(0, NUMBER)) == (0, 0)
-    assert drives.upload(0, NAME) == b"none"
+    assert drives.upload_entry(0, NAME) == b"none"
 
 
 @pytest.mark.parametrize("bus", BUSES)
@@ -127,7 +127,7 @@ def test_a_fault_over_sdo_is_that_of_a_session_from_its_tick_on(scene: Scene, bu
                 session.set_varied(name, value)
         for drive_set in alike:
             drive_set.write(2, TARGET, start + round(400 * (1.0 - np.cos(0.05 * tick))))
-            drive_set.period()
+            drive_set.advance_periods()
         assert drives.plant.save() == session.plant.save(), f"tick {tick}"
         moved.add(np.array_equal(drives.plant.state.q, sound.plant.state.q))
         assert tick >= BEGIN or moved == {True}, "before it begins"

@@ -43,7 +43,7 @@ def test_the_interpolation_time_begins_as_the_servo_period(us: int) -> None:
     drives = Drives(Plant(scene), replace(SERVO, period=period, motion_period=0.0), ETHERCAT)
     time = interpolation(lambda index, sub: drives.read(0, index, sub))
     assert time == pytest.approx(period, rel=1e-12)
-    assert drives.periods_per_target(0) == 1
+    assert drives.count_periods_per_target(0) == 1
 
 
 @pytest.mark.parametrize("us", [62.5, 4000, 20000, 255000, 300000, 1_234_567])
@@ -59,9 +59,9 @@ def test_the_interpolation_time_follows_the_cycle_of_the_bus_until_a_master_writ
     drives.write(0, 0x60C2, 7, 1)
     drives.write(0, 0x60C2, -3, 2)
     drives.set_cycle(0, 4_000_000)
-    assert drives.periods_per_target(0) == 7, "the master's choice stays"
+    assert drives.count_periods_per_target(0) == 7, "the master's choice stays"
     drives.restart(0)
-    assert drives.periods_per_target(0) == 4, "until the drive starts again"
+    assert drives.count_periods_per_target(0) == 4, "until the drive starts again"
 
 
 CYCLE = 4  # servo periods of SYNC0
@@ -104,7 +104,7 @@ def test_the_interpolation_time_follows_sync0(master: Master, late: bool) -> Non
         master.write(k, 0x0980, b"\0\0")
         master.safeop(k, 0x10000 + k * (master.out + master.into))
     assert [master.number(0, index, 1) for index in (0x1C32, 0x1C33)] == [1, 0x22]
-    assert drives.periods_per_target(0) == 1, "without SYNC0 as before"
+    assert drives.count_periods_per_target(0) == 1, "without SYNC0 as before"
 
 
 def test_the_speed_of_cyclic_positions_is_even_at_a_slow_sync0(master: Master) -> None:
@@ -166,7 +166,9 @@ def test_a_master_that_sets_the_interpolation_time_alone_gets_lines(
         assert master.safeop(k, 0x10000 + k * (master.out + master.into)) == (SAFEOP, 0)
         assert master.ask(k, OP) == (OP, 0)
     drives = master.segment.drives
-    assert [drives.periods_per_target(k) for k in range(master.slaves)] == [periods] * master.slaves
+    assert [drives.count_periods_per_target(k) for k in range(master.slaves)] == [
+        periods
+    ] * master.slaves
     targets = start = [drives.read(k, ACTUAL) for k in range(master.slaves)]
     for word in (6, 7, 15, 15):
         cyclic_position(master, [word] * master.slaves, targets)
@@ -191,8 +193,8 @@ def test_a_target_that_rpdos_repeat_is_reached_in_the_interpolation_time() -> No
     start, demands = struct.unpack("<i", uploaded(segment, 1, ACTUAL, 0))[0], []
     for n in range(50):
         target = start + 100 * (n // 5 + 1)
-        segment.receive(CanFrame(0x301, struct.pack("<Hi", 15, target)))
-        segment.receive(SYNC)
+        segment.receive_frame(CanFrame(0x301, struct.pack("<Hi", 15, target)))
+        segment.receive_frame(SYNC)
         demands.append(segment.drives.read(0, 0x6062) - start)
     assert demands == [20 * (n + 1) for n in range(50)]
 
@@ -204,7 +206,7 @@ def test_a_target_that_changes_in_motion_begins_a_new_line() -> None:
     start = drives.read(0, ACTUAL)
     for k, goal in enumerate([160] * 4 + [240] * 12):
         drives.write(0, TARGET, start + goal)
-        drives.period()
+        drives.advance_periods()
         line = 20 * (k + 1) if k < 12 else 240
         assert drives.read(0, 0x6062) - start == line, "160 / 8 as well as (240 - 80) / 8"
 
@@ -224,7 +226,7 @@ def test_a_mode_that_is_not_supported_is_refused_and_never_displayed(bus: int) -
             continue
         with pytest.raises(Aborted, match="060900"):
             drives.write(0, 0x6060, mode)
-        drives.period()
+        drives.advance_periods()
         assert drives.read(0, 0x6061) == drives.read(0, 0x6060) == CSP
 
 

@@ -14,7 +14,7 @@ from modbus_line import Master, line_of, long_of, read_write, sound
 from arm_emulator import Refusal, Scene, Session, load_scene
 from arm_emulator.machine.session.session import EndOfTime
 from arm_emulator_fieldbus import converter as registers
-from arm_emulator_fieldbus.commands.modbus import modbus
+from arm_emulator_fieldbus.commands.modbus import serve_modbus
 from arm_emulator_fieldbus.converter import RegisterConverter
 from arm_emulator_fieldbus.modbus_line import ModbusLine
 from arm_emulator_fieldbus.modbus_rtu import Code
@@ -139,13 +139,17 @@ def state_of(line: ModbusLine, converter: RegisterConverter) -> tuple[object, ..
 
 def test_a_station_answers_its_own_requests_only(scene: Scene) -> None:
     line, converter = line_of(scene)
-    assert line.bring(sound(bytes.fromhex("02 03 0000 0001"))) == b"", "another station's request"
-    assert line.bring(sound(bytes.fromhex("00 03 0000 0001"))) == b"", "a read of all stations"
+    assert line.exchange_bytes(sound(bytes.fromhex("02 03 0000 0001"))) == b"", (
+        "another station's request"
+    )
+    assert line.exchange_bytes(sound(bytes.fromhex("00 03 0000 0001"))) == b"", (
+        "a read of all stations"
+    )
     assert converter.session.tick == 0
-    assert line.bring(sound(bytes.fromhex("00 10 07d1 0003 06 000100020003"))) == b""
+    assert line.exchange_bytes(sound(bytes.fromhex("00 10 07d1 0003 06 000100020003"))) == b""
     assert converter.session.tick == 1 and converter.read(2001, 3) == [1, 2, 3]
-    line.bring(sound(bytes.fromhex("01 03 0000 0001"))[:-1] + b"x")
-    assert line.silence() == b"" and line.receiver.damaged == 1
+    line.exchange_bytes(sound(bytes.fromhex("01 03 0000 0001"))[:-1] + b"x")
+    assert line.note_silence() == b"" and line.receiver.damaged == 1
     reported = {
         n: Master(line).ask(bytes.fromhex(f"08 {n:04x} 0000"))[3:] for n in (11, 12, 14, 15)
     }
@@ -237,7 +241,7 @@ def test_malformed_frames_change_nothing(scene: Scene, clock: str) -> None:
         if draw.random() < 0.8:
             data = sound(data)
         tick = converter.session.tick
-        reply = line.bring(data) + line.silence()
+        reply = line.exchange_bytes(data) + line.note_silence()
         was, before = before, state_of(line, converter)
         if clock == "line" and converter.session.tick != tick:
             continue  # time has passed while it was on the line
@@ -270,7 +274,7 @@ def test_impossible_options_are_refused(options: dict[str, object], line: str) -
         clock="lockstep", baud=9600, station=1, error_rate=0.0, seed=0, watchdog=0, link=None
     )
     with pytest.raises(Refusal, match=line):
-        modbus("three_axis", **{**defaults, **options})  # type: ignore[arg-type]
+        serve_modbus("three_axis", **{**defaults, **options})  # type: ignore[arg-type]
 
 
 def test_full_scale_is_the_supply_or_the_limit_of_the_motor(tmp_path: Path) -> None:

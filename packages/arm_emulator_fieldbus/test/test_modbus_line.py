@@ -88,7 +88,7 @@ def test_frames_are_recognised_in_any_pieces(seed: int) -> None:
         stream += frame
     while stream:
         cut = draw.randrange(1, 300)
-        frames += receiver.feed(stream[:cut])
+        frames += receiver.take_bytes(stream[:cut])
         stream = stream[cut:]
     assert frames == sent and receiver.damaged == 0
 
@@ -149,14 +149,14 @@ def test_no_wrong_value_is_accepted_from_a_line_with_errors(scene: Scene) -> Non
     line, converter = line_of(scene, watchdog=0, errors=LineErrors(0.01, 17))
     recorder = Recorder(converter)
     line.station = ModbusStation(1, recorder)
-    answer = line.station.answer
+    answer = line.station.answer_request
     answered: list[bytes] = []
 
     def answer_and_report(request: bytes) -> bytes:
         answered.append(answer(request))
         return answered[-1]
 
-    line.station.answer = answer_and_report  # type: ignore[method-assign]
+    line.station.answer_request = answer_and_report  # type: ignore[method-assign]
     draw = random.Random(3)
     done = damaged_requests = damaged_replies = 0
     for _ in range(FRAMES):
@@ -164,7 +164,7 @@ def test_no_wrong_value_is_accepted_from_a_line_with_errors(scene: Scene) -> Non
         body = read_write(1000, 9, 2001, words)
         recorder.wrote.clear()
         answered.clear()
-        reply = line.bring(sound(b"\1" + body)) + line.silence()
+        reply = line.exchange_bytes(sound(b"\1" + body)) + line.note_silence()
         if not recorder.wrote:
             damaged_requests += 1
             assert converter.session.tick == done, "time passed without commands"
@@ -191,16 +191,16 @@ def test_no_wrong_value_is_accepted_from_a_line_with_errors(scene: Scene) -> Non
 def test_errors_do_not_depend_on_pieces() -> None:
     data, draw = random.Random(5).randbytes(20_000), random.Random(6)
     line_errors = LineErrors(0.03, 7)
-    arrived = line_errors.damage(data)
+    arrived = line_errors.damage_bytes(data)
     pieces, at = LineErrors(0.03, 7), 0
     joined = b""
     while at < len(data):
         cut = draw.randrange(1, 300)
-        joined += pieces.damage(data[at : at + cut])
+        joined += pieces.damage_bytes(data[at : at + cut])
         at += cut
     assert joined == arrived and pieces.count == line_errors.count
     assert abs(line_errors.count - 600) < 5 * math.sqrt(600)
-    assert LineErrors(0.03, 8).damage(data) != arrived
+    assert LineErrors(0.03, 8).damage_bytes(data) != arrived
 
 
 def test_requests_have_the_lengths_of_the_standard() -> None:

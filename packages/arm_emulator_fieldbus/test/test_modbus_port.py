@@ -69,7 +69,7 @@ def test_port_serves_in_lockstep_and_ends_on_ctrl_c(tmp_path: Path, scene: Scene
         time.sleep(0.1)  # a pause; where the server sees none, the request is lost: asked again
         for k in range(20):
             request = sound(b"\1" + read_write(1000, 15, 2001, draw.choices(range(3000), k=3)))
-            expected = line.bring(request)
+            expected = line.exchange_bytes(request)
             reply = ask(port, request, len(expected))
             assert (reply or (k == 0 and ask(port, request, len(expected)))) == expected
         settings = termios.tcgetattr(port)
@@ -81,7 +81,7 @@ def test_port_serves_in_lockstep_and_ends_on_ctrl_c(tmp_path: Path, scene: Scene
         assert reported in process.stderr.readline()
         settings[4] = settings[5] = termios.B115200
         termios.tcsetattr(port, termios.TCSANOW, settings)
-        expected = line.bring(request)
+        expected = line.exchange_bytes(request)
         assert ask(port, request, len(expected)) == expected, "what was not heard changed nothing"
 
 

@@ -32,8 +32,8 @@ from arm_emulator.toolchain.compiler_command import identify_compiler
 from arm_emulator.toolchain.unit import Unit
 from arm_emulator_campaign.program import make_judges_unit
 from arm_emulator_campaign.signals import make_sampler_unit
-from arm_emulator_fieldbus.drives_unit import drives_unit
-from arm_emulator_fieldbus.ethercat import ethercat_unit
+from arm_emulator_fieldbus.drives_unit import make_drives_unit
+from arm_emulator_fieldbus.ethercat import make_ethercat_unit
 from arm_emulator_fleet.unit import build_fleet_unit
 from arm_emulator_fmu.unit import make_unit
 from arm_emulator_fmu.variables import list_scalars, list_variables
@@ -106,7 +106,7 @@ def units(folder: Path) -> Iterator[Unit]:
         make_judges_unit(),
         make_sampler_unit(),
     )
-    yield from (drives_unit(), ethercat_unit())
+    yield from (make_drives_unit(), make_ethercat_unit())
     yield from (
         make_middleware_unit(),
         make_answered_ticks_unit(),

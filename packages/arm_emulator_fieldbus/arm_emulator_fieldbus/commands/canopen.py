@@ -75,7 +75,7 @@ def open_requested_bus(
     until_stopped=True,
     keys="`scene`, `bus`, `clock`, `nodes`, `ignored`; with the option eds `files`",
 )
-def canopen(
+def serve_canopen(
     scene: SceneName = "three_axis",
     /,
     *,
@@ -124,7 +124,7 @@ def canopen(
             plant = segment.drives.plant
             with Recorder(plant, outputs, waits=lockstep), serve_controls(plant, page) as server:
                 print("canopen: ready", flush=True)
-                BusService(on, segment, period).serve(server.poll_requests)
+                BusService(on, segment, period).serve_nodes(server.poll_requests)
         finally:
             output.add_facts({"ignored": on.ignored})
             if on.ignored:

@@ -25,7 +25,7 @@ _TURN = 0.1  # s after which Ctrl-C is looked for
     until_stopped=True,
     keys="`scene`, `clock`, `slaves`, `figures`; with the option esi `file`",
 )
-def ethercat(
+def serve_ethercat(
     scene: SceneName = "three_axis",
     /,
     *,

@@ -22,7 +22,7 @@ from arm_emulator_fieldbus.serial_line import LARGEST_BAUD, LineErrors
         "`scene`, `port`, `link`, `station`, `baud`, `clock`; with the option registers `registers`"
     ),
 )
-def modbus(
+def serve_modbus(
     scene: SceneName = "three_axis",
     /,
     *,

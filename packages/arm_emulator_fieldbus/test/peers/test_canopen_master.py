@@ -43,7 +43,7 @@ def network_of(segment: CanSegment, channel: str, period: int | None = None) -> 
         network = canopen.Network()
         network.NOTIFIER_SHUTDOWN_TIMEOUT = 5.0
         network.connect(interface="virtual", channel=channel)
-        thread = threading.Thread(target=service.serve, args=(goes_on.is_set,))
+        thread = threading.Thread(target=service.serve_nodes, args=(goes_on.is_set,))
         thread.start()
         try:
             yield network
@@ -74,7 +74,7 @@ def test_scan_and_upload_of_the_full_dictionary(tmp_path: Path) -> None:
             assert len(remote.object_dictionary) >= len({entry.index for entry in ENTRIES})
             for entry in ENTRIES:
                 reported = remote.sdo.upload(entry.index, entry.sub)
-                assert reported == node.upload(entry.index, entry.sub), entry
+                assert reported == node.upload_entry(entry.index, entry.sub), entry
                 variable = remote.sdo[entry.index]
                 if entry.code != 7:
                     variable = variable[entry.sub]
@@ -227,10 +227,10 @@ def test_ur5_moves_as_its_drives_do_in_process(tmp_path: Path) -> None:
                 drives.write(k, 0x6060, CSP)
                 drives.write(k, 0x6040, word)
             exchange()
-            drives.period(CYCLE)
+            drives.advance_periods(CYCLE)
         start = [position for _, _, position in exchange()]
         assert start == [drives.read(k, 0x6064) for k in range(6)]
-        drives.period(CYCLE)
+        drives.advance_periods(CYCLE)
         counts = np.array([joint.counts_per_turn for joint in scene.joints])
         counts = 0.4 * counts / (2 * np.pi) / scene.gear_ratios  # 0.4 rad
         hertz = np.random.default_rng(1).uniform(0.2, 0.5, 6)
@@ -250,11 +250,11 @@ def test_ur5_moves_as_its_drives_do_in_process(tmp_path: Path) -> None:
             for k, target in enumerate(targets):
                 drives.write(k, 0x6040, 15)
                 drives.write(k, 0x607A, target)
-            drives.period(CYCLE)
+            drives.advance_periods(CYCLE)
             off = np.array(targets) - [position for *_, position in reported]
             worst = max(worst, float(np.abs(off / counts * 0.4).max()))
         exchange()
-        drives.period(CYCLE)
+        drives.advance_periods(CYCLE)
         assert worst < 0.02, "rad at the links, behind the targets"
         print(f"worst distance to the targets {worst:.4f} rad")
     assert segment.drives.plant.save() == drives.plant.save()

@@ -169,7 +169,7 @@ def test_a_master_detects_the_drives_and_uploads_the_full_dictionary(
     assert {int(index) for index in reported["objects"]} == listed(name, objects), "objects"
     read = {key: bytes.fromhex(value) for key, value in reported["values"].items()}
     for entry in entries:
-        value = drives.upload(0, entry.index, entry.sub)
+        value = drives.upload_entry(0, entry.index, entry.sub)
         assert read[f"{entry.index}:{entry.sub}"] == value, (
             f"{entry.index:#06x}:{entry.sub} {entry.name}"
         )

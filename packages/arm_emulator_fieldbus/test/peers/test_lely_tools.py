@@ -101,7 +101,7 @@ def test_dcfchk_and_dcfgen_accept_every_data_sheet(name: str, tmp_path: Path) ->
         scene = str(write_new(tmp_path / f"{name}.urdf", tmp_path / "new").file)
     write_eds(scene, tmp_path / "eds")
     segment = load_segment(scene, 2)
-    segment.boot()
+    segment.boot_nodes()
     sheets = sorted((tmp_path / "eds").iterdir())
     assert len(sheets) == len(segment.nodes)
     for sheet in sheets:
