@@ -158,7 +158,7 @@ class CudaDevice(Device):
     def set_stack(self, size: int) -> None:  # noqa: D102
         where, limit = "Device.set_stack", DRIVER.get_constant("CU_LIMIT_STACK_SIZE")
         size = check_count(where, "size", size, 0, LARGEST_MEMORY)
-        with self.current():
+        with self.enter_context():
             # Others who share the context may need what it is now.
             before = self.driver.get("cuCtxGetLimit", "size_t *", limit)
             if size > before:
@@ -169,7 +169,7 @@ class CudaDevice(Device):
                     raise Refusal(where, "size", rule, f"{size} ({error})") from None
 
     def synchronize(self, stream: int | None = None) -> None:  # noqa: D102
-        with self.current():
+        with self.enter_context():
             if stream is None:
                 self.driver.call("cuCtxSynchronize")
             else:
@@ -178,7 +178,7 @@ class CudaDevice(Device):
     def has_address(self, pointer: int) -> bool:  # noqa: D102
         ordinal = DRIVER.ffi.new("int *", -1)
         attribute = DRIVER.get_constant("CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL")
-        with self.current():
+        with self.enter_context():
             self.driver.call_quietly("cuPointerGetAttribute", ordinal, attribute, pointer)
         return bool(ordinal[0] == self.dlpack[1])
 
@@ -188,11 +188,11 @@ class CudaDevice(Device):
     def end(self, function: str, handle: Any) -> None:
         """Call a function that frees; errors are those of earlier work, which others report."""
         if os.getpid() == self._process:
-            with contextlib.suppress(DeviceError), self.current():
+            with contextlib.suppress(DeviceError), self.enter_context():
                 self.driver.call_quietly(function, handle)
 
     @contextlib.contextmanager
-    def current(self) -> Iterator[None]:
+    def enter_context(self) -> Iterator[None]:
         """Make the card's context that of this thread, and afterwards the one before.
 
         Raises:
@@ -210,7 +210,7 @@ class CudaDevice(Device):
             self.driver.call_quietly("cuCtxPopCurrent_v2", DRIVER.ffi.new("CUcontext *"))
 
     def _allocate(self, size: int) -> Memory:
-        with self.current():
+        with self.enter_context():
             try:
                 pointer = self.driver.get("cuMemAlloc_v2", "CUdeviceptr *", size)
             except DeviceError as error:
@@ -223,19 +223,19 @@ class CudaDevice(Device):
         return Memory(self, int(pointer), size)
 
     def _copy_in(self, target: int, host: int, size: int) -> None:
-        with self.current():
+        with self.enter_context():
             self.driver.call("cuMemcpyHtoD_v2", target, _find_host_pointer(host), size)
 
     def _copy_out(self, host: int, source: int, size: int) -> None:
-        with self.current():
+        with self.enter_context():
             self.driver.call("cuMemcpyDtoH_v2", _find_host_pointer(host), source, size)
 
     def _copy_within(self, target: int, source: int, size: int) -> None:
-        with self.current():
+        with self.enter_context():
             self.driver.call("cuMemcpyDtoD_v2", target, source, size)
 
     def _fill(self, target: int, byte: int, size: int) -> None:
-        with self.current():
+        with self.enter_context():
             self.driver.call("cuMemsetD8_v2", target, byte, size)
 
 
@@ -262,7 +262,7 @@ class CudaModule(Module):
         names = "CU_JIT_ERROR_LOG_BUFFER", "CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES"
         options = ffi.new("int[]", [DRIVER.get_constant(name) for name in names])
         values = ffi.new("void *[]", [log, ffi.cast("void *", LONGEST_LOG)])
-        with device.current():
+        with device.enter_context():
             try:
                 # PTX ends with a zero, and a cubin may be followed by one.
                 self._module = self._driver.get(
@@ -276,25 +276,25 @@ class CudaModule(Module):
                 raise Refusal("Device.load", "image", rule, message) from None
         weakref.finalize(self, device.end, "cuModuleUnload", self._module).atexit = False
 
-    def global_memory(self, name: str) -> Memory:  # noqa: D102
+    def find_global_memory(self, name: str) -> Memory:  # noqa: D102
         size = DRIVER.ffi.new("size_t *")
         arguments = size, self._module, name.encode()
         pointer = self._get("cuModuleGetGlobal_v2", "CUdeviceptr *", *arguments)
         if pointer is None:
-            raise Refusal("Module.global_memory", "name", "be in the module", name)
+            raise Refusal("Module.find_global_memory", "name", "be in the module", name)
         return Memory(self.device, int(pointer), int(size[0]), self)
 
     def _look_up(self, kernel: str) -> Any:
         function = self._get("cuModuleGetFunction", "CUfunction *", self._module, kernel.encode())
         if function is None:
             return None
-        with self._card.current():
-            max_threads = self._attribute(function, "CU_FUNC_ATTRIBUTE_MAX_THREADS_PER_BLOCK")
+        with self._card.enter_context():
+            max_threads = self._get_attribute(function, "CU_FUNC_ATTRIBUTE_MAX_THREADS_PER_BLOCK")
         return function, max_threads
 
     def _get(self, function: str, kind: str, *arguments: Any) -> Any:
         """Return what the module has of a name, or None."""
-        with self._card.current():
+        with self._card.enter_context():
             try:
                 return self._driver.get(function, kind, *arguments)
             except DeviceError as error:
@@ -304,15 +304,15 @@ class CudaModule(Module):
 
     def _describe(self, kernel: tuple[CData, int]) -> dict[str, int]:
         function, max_threads = kernel
-        with self._card.current():
+        with self._card.enter_context():
             return {
-                "registers": self._attribute(function, "CU_FUNC_ATTRIBUTE_NUM_REGS"),
-                "stack": self._attribute(function, "CU_FUNC_ATTRIBUTE_LOCAL_SIZE_BYTES"),
-                "shared": self._attribute(function, "CU_FUNC_ATTRIBUTE_SHARED_SIZE_BYTES"),
+                "registers": self._get_attribute(function, "CU_FUNC_ATTRIBUTE_NUM_REGS"),
+                "stack": self._get_attribute(function, "CU_FUNC_ATTRIBUTE_LOCAL_SIZE_BYTES"),
+                "shared": self._get_attribute(function, "CU_FUNC_ATTRIBUTE_SHARED_SIZE_BYTES"),
                 "block": max_threads,
             }
 
-    def _attribute(self, function: CData, name: str) -> int:
+    def _get_attribute(self, function: CData, name: str) -> int:
         return int(
             self._driver.get("cuFuncGetAttribute", "int *", DRIVER.get_constant(name), function)
         )
@@ -332,7 +332,7 @@ class CudaModule(Module):
         pointers = (ctypes.c_void_p * (1 + len(packed)))(ctypes.addressof(count), *packed)
         parameters = DRIVER.ffi.cast("void **", ctypes.addressof(pointers))
         grid = -(-threads // block), 1, 1, block, 1, 1
-        with self._card.current():
+        with self._card.enter_context():
             self._driver.call("cuLaunchKernel", function, *grid, 0, C_NULL, parameters, C_NULL)
 
 

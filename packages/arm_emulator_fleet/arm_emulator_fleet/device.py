@@ -314,7 +314,7 @@ class Module(ABC):
         return self._describe(self._find("Module.describe", kernel))
 
     @abstractmethod
-    def global_memory(self, name: str) -> Memory:
+    def find_global_memory(self, name: str) -> Memory:
         """Return a variable of the kernels' source.
 
         Raises:
@@ -353,14 +353,14 @@ def check_device(where: str, device: Device, pointer: DevicePointer) -> None:
 def _pack_arguments(where: str, device: Device, arguments: Sequence[Argument]) -> ctypes.Array[Any]:
     """Return pointers to arguments; ctypes keeps the arguments as long as the pointers."""
     pointers = (ctypes.c_void_p * len(arguments))()
-    places = [_pack(where, device, argument) for argument in arguments]
+    places = [_pack_argument(where, device, argument) for argument in arguments]
     for index, place in enumerate(places):
         pointers[index] = ctypes.addressof(place)
     pointers.places = places  # type: ignore[attr-defined]
     return pointers
 
 
-def _pack(where: str, device: Device, argument: Argument) -> Any:
+def _pack_argument(where: str, device: Device, argument: Argument) -> Any:
     if isinstance(argument, np.generic):
         argument = argument.tobytes()
     if isinstance(argument, bytes) and argument:

@@ -151,7 +151,7 @@ class DeviceArray:
             if source.memory is not self.memory:
                 self.device.copy(self.memory, source.memory, self.nbytes, *places)
                 return
-        array = _to_numpy(where, values if source is None else source)
+        array = _convert_to_numpy(where, values if source is None else source)
         self._check_shape(where, array.shape)
         if not np.can_cast(array.dtype, self.dtype, "same_kind"):
             raise Refusal(where, "values", f"be of type {self.dtype}", array.dtype)
@@ -227,7 +227,9 @@ class DeviceArray:
         }
 
 
-def as_device_array(device: Device, values: object, dtype: DTypeLike | None = None) -> DeviceArray:
+def convert_to_device_array(
+    device: Device, values: object, dtype: DTypeLike | None = None
+) -> DeviceArray:
     """Return numbers as an array on a device, without a copy if they are there.
 
     Args:
@@ -247,7 +249,7 @@ def as_device_array(device: Device, values: object, dtype: DTypeLike | None = No
     if shared is not None and (dtype is None or shared.dtype == np.dtype(dtype)):
         return shared
     source = _share_array(device, values, to_write=False)
-    array = _to_numpy("as_device_array", values) if source is None else source
+    array = _convert_to_numpy("as_device_array", values) if source is None else source
     copied = DeviceArray(array.shape, array.dtype if dtype is None else dtype, device)
     copied.copy_from(array)
     return copied
@@ -268,7 +270,7 @@ def take_array(
     shape: tuple[int, ...],
     dtype: DTypeLike | None,
 ) -> DeviceArray:
-    """Return an argument as an array on a device, see `as_device_array`.
+    """Return an argument as an array on a device, see `convert_to_device_array`.
 
     Args:
         where: name of the refusal.
@@ -281,7 +283,7 @@ def take_array(
     Raises:
         Refusal: another shape, or no numbers of this type.
     """
-    array = as_device_array(device, values, dtype)
+    array = convert_to_device_array(device, values, dtype)
     if array.shape != shape:
         raise Refusal(where, name, f"have shape {shape}", array.shape)
     return array
@@ -302,7 +304,7 @@ def _share_array(device: Device, values: object, to_write: bool) -> DeviceArray 
             return None
         if not values.flags.c_contiguous or (to_write and not values.flags.writeable):
             return None
-        return _share(device, values.ctypes.data, values.dtype, values.shape, values)
+        return _share_memory(device, values.ctypes.data, values.dtype, values.shape, values)
     if hasattr(values, "__dlpack__"):
         return _share_capsule(device, values, to_write)
     if device.dlpack != PROCESSOR and hasattr(values, "__cuda_array_interface__"):
@@ -327,7 +329,7 @@ def _share_capsule(device: Device, values: Any, to_write: bool) -> DeviceArray |
         return None
     if to_write and handed.is_read_only:
         return None
-    return _share(device, handed.pointer, handed.dtype, handed.shape, capsule)
+    return _share_memory(device, handed.pointer, handed.dtype, handed.shape, capsule)
 
 
 def _share_interface(device: Device, values: Any, to_write: bool) -> DeviceArray | None:
@@ -339,25 +341,25 @@ def _share_interface(device: Device, values: Any, to_write: bool) -> DeviceArray
         return None
     if interface.get("stream") is not None:
         device.synchronize(interface["stream"])
-    return _share(
+    return _share_memory(
         device, pointer, np.dtype(interface["typestr"]), tuple(interface["shape"]), values
     )
 
 
-def _share(
+def _share_memory(
     device: Device, pointer: int, dtype: np.dtype[Any], shape: Sequence[int], owner: object
 ) -> DeviceArray:
     memory = Memory(device, pointer, math.prod(shape) * dtype.itemsize, owner)
     return DeviceArray(shape, dtype, device, memory=memory)
 
 
-def _to_numpy(where: str, values: Any) -> NDArray[Any]:
+def _convert_to_numpy(where: str, values: Any) -> NDArray[Any]:
     """Return numbers from anywhere as an array of NumPy."""
     if isinstance(values, DeviceArray):
         return values.numpy()
     try:
         if hasattr(values, "__dlpack__") and not isinstance(values, np.ndarray):
-            return _from_dlpack(values)
+            return _read_dlpack(values)
         array = np.asarray(values)
     except LIBRARY_ERRORS as error:
         rule = "be an array of numbers, in C's order on a card"
@@ -367,7 +369,7 @@ def _to_numpy(where: str, values: Any) -> NDArray[Any]:
     return array
 
 
-def _from_dlpack(values: Any) -> NDArray[Any]:
+def _read_dlpack(values: Any) -> NDArray[Any]:
     kind = int(values.__dlpack_device__()[0])
     if kind == PROCESSOR[0]:
         return np.from_dlpack(values)

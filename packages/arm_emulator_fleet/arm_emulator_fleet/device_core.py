@@ -117,7 +117,7 @@ class DeviceCore:
         memory, pool = self.device.allocate(of_fleet), self.device.allocate(size)
         if self.device.architecture != NATIVE:  # a processor has its heap
             ends = np.array([pool.pointer, pool.pointer + size], np.uint64)
-            self.device.write(self._module.global_memory("arm_pool"), ends)
+            self.device.write(self._module.find_global_memory("arm_pool"), ends)
         own = ARM.make_struct("arm_options")
         own[0] = options[0]
         numbers = self.copy_in(options.parameters, 8 * count * len(self._scene.varied))
@@ -433,7 +433,7 @@ class DeviceCore:
         """
         if name not in self._functions:
             own, smooth = (
-                int(self.device.read(module.global_memory(name), np.uint64, (1,))[0])
+                int(self.device.read(module.find_global_memory(name), np.uint64, (1,))[0])
                 for module in (self._module, self._smooth_module)
             )
             self._functions[name], self._smooth_functions[own] = own, smooth

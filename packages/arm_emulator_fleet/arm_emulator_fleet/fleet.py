@@ -110,7 +110,7 @@ class Fleet(CoreMachines):
 
     def __del__(self) -> None:
         if hasattr(self, "_shares"):
-            self._shares.end()
+            self._shares.end_threads()
         super().__del__()
 
     def __repr__(self) -> str:
@@ -210,7 +210,7 @@ class Fleet(CoreMachines):
         """
         where = "Fleet.advance"
         steps = check_count(where, "steps", steps, 0, LARGEST_STEPS)
-        q: Array = self._run(self._arguments.commands(command, where)[np.newaxis], steps)[0]
+        q: Array = self._run(self._arguments.read_commands(command, where)[np.newaxis], steps)[0]
         return q
 
     def exchange(self, command: Commands, tick: int = -1, **further: Commands) -> None:
@@ -227,11 +227,11 @@ class Fleet(CoreMachines):
             Refusal: wrong shape, not finite, or an input that no motor has; nothing has changed.
         """
         where = "Fleet.exchange"
-        rows = self._arguments.commands(command, where)
+        rows = self._arguments.read_commands(command, where)
         tick = check_count(where, "tick", tick, -1)
         check_inputs(where, self.scene, further)
         named_rows = {
-            name: self._arguments.commands(row, where, ANY_COMMAND.rename(name))
+            name: self._arguments.read_commands(row, where, ANY_COMMAND.rename(name))
             for name, row in further.items()
         }
         others = arrange_further_rows(where, self.scene, named_rows, self._count)
@@ -240,7 +240,7 @@ class Fleet(CoreMachines):
             self._commands["value"] = rows
             places = {"joint": self._commands} | ({} if others is None else {"further": others})
             struct = ARM.make_struct("arm_command", tick=tick, **places)
-            self._shares.do(
+            self._shares.do_work(
                 self._period_worth, lambda *share: exchange(self._fleet, *share, struct)
             )
 
@@ -268,28 +268,28 @@ class Fleet(CoreMachines):
         """
         where = "Fleet.step"
         periods = check_count(where, "periods", periods, 0, 10**9)
-        out = self._frame(where, out)
+        out = self._check_frame(where, out)
         self._put_commands(where, command)
         step, fleet, zoh_command = self.core.arm_fleet_step, self._fleet, self._zoh_command
         places, results = (out.measurement, out.truth), []
-        for _, some in self._pieces(periods):
-            self._shares.do(
+        for _, some in self._divide_periods(periods):
+            self._shares.do_work(
                 self._period_worth * some,
                 lambda *share, n=some: results.append(step(fleet, *share, zoh_command, n, *places)),
             )
             if REFUSED in results:  # of a device, whose commands nobody else checks
-                raise self._refusal(where, "")
+                raise self._make_refusal(where, "")
         return out
 
     def _put_commands(self, where: str, command: Any) -> None:
         """Set the commands that are held."""
         if self.device is None:
-            self._commands["value"] = self._arguments.commands(command, where)
+            self._commands["value"] = self._arguments.read_commands(command, where)
             return
         from arm_emulator_fleet.device_array import is_device_array, take_array
 
         if not is_device_array(command):
-            command = self._arguments.commands(command, where)
+            command = self._arguments.read_commands(command, where)
         shape, name = (self._count, self._N), ANY_COMMAND.name
         rows = take_array(where, name, self.core.device, command, shape, np.float64)
         self.core.put_commands(self._fleet, rows)
@@ -331,7 +331,7 @@ class Fleet(CoreMachines):
         if not isinstance(control, FleetControl):
             raise Refusal(where, "control", "be a FleetControl", control)
         periods = check_count(where, "periods", periods, 0, 10**9)
-        out = self._frame(where, out)
+        out = self._check_frame(where, out)
         if links is not None:
             shape = periods, self._count, self._N
             fits = isinstance(links, np.ndarray) and links.shape == shape
@@ -361,14 +361,14 @@ class Fleet(CoreMachines):
             if follow(fleet, first, arms, arguments, some, by, *places) == REFUSED:
                 refused.append(first)
 
-        for done, some in self._pieces(periods):
+        for done, some in self._divide_periods(periods):
             by.links = NULL if links is None else pointer(links[done:])
             if arms is None:
-                self._shares.do(self._period_worth * some, partial(go, some))
+                self._shares.do_work(self._period_worth * some, partial(go, some))
             else:
                 go(some, 0, arms)
             if refused:
-                raise self._refusal(where, "")
+                raise self._make_refusal(where, "")
         return out
 
     def look(self, way: FleetWay) -> None:
@@ -405,12 +405,12 @@ class Fleet(CoreMachines):
             address = self.core.find_function(schedule.look_name)
             FLEET.fill_struct(schedule.struct, look=FLEET.ffi.cast(_LOOK, address))
 
-    def _pieces(self, periods: int) -> Iterator[tuple[int, int]]:
+    def _divide_periods(self, periods: int) -> Iterator[tuple[int, int]]:
         """Yield begin and length of pieces between checks for Ctrl-C."""
         for done in range(0, periods or 1, self._longest):
             yield done, min(self._longest, periods - done)
 
-    def _frame(self, where: str, out: FleetFrame | None) -> FleetFrame:
+    def _check_frame(self, where: str, out: FleetFrame | None) -> FleetFrame:
         out = self.frame() if out is None else out
         of = self.scene, self._count, self.device
         if not isinstance(out, FleetFrame) or out.of != of:
@@ -483,7 +483,7 @@ class Fleet(CoreMachines):
         arguments = pointer(rows), len(rows), steps, pointer(q)
         run = self.core.arm_fleet_run
         worth = rows[..., 0].size * steps
-        self._shares.do(worth, lambda *share: run(self._fleet, *share, *arguments))
+        self._shares.do_work(worth, lambda *share: run(self._fleet, *share, *arguments))
 
 
 def _restore_fleet(

@@ -61,7 +61,7 @@ class FleetControl(NonCopyable):
         self._kept = with_
         if self.name is None:
             address = check_count("FleetControl", "step", step, 1, _LARGEST)
-            self.functions[self.field] = self._cast(address)
+            self.functions[self.field] = self._cast_function(address)
         place = getattr(with_, "pointer", with_)
         place = check_count("FleetControl", "with_", place, 0, _LARGEST)
         self.with_: CData = FLEET.ffi.cast("void *", place)
@@ -69,9 +69,9 @@ class FleetControl(NonCopyable):
     def place_function(self, find: Callable[[str], int]) -> None:
         """Look up a function that was given by its name: find(name) is its address."""
         if self.name is not None:
-            self.functions[self.field] = self._cast(find(self.name))
+            self.functions[self.field] = self._cast_function(find(self.name))
 
-    def _cast(self, address: int) -> CData:
+    def _cast_function(self, address: int) -> CData:
         return FLEET.ffi.cast(f"arm_fleet_step_of_{self._kind}", address)
 
     def begin(self, scene: Scene, count: int) -> None:

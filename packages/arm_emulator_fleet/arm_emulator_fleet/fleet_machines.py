@@ -144,10 +144,10 @@ class CoreMachines(Synchronized):
             return self._reset_in_place(where, arms, q, v, varied or {})
         mask = choose_arms(where, arms, self._count)
         of_q, of_v = bound_start(self.scene)
-        at = self._arguments.rows(self.scene.start if q is None else q, mask, where, of_q)
-        speed = self._arguments.rows(np.zeros(self._N) if v is None else v, mask, where, of_v)
+        at = self._arguments.read_rows(self.scene.start if q is None else q, mask, where, of_q)
+        speed = self._arguments.read_rows(np.zeros(self._N) if v is None else v, mask, where, of_v)
         columns = {
-            n: self._arguments.column(where, n, values, mask)
+            n: self._arguments.read_column(where, n, values, mask)
             for n, values in (varied or {}).items()
         }
         for name, column in columns.items():
@@ -178,7 +178,7 @@ class CoreMachines(Synchronized):
             for name, values in varied.items()
         }
         if self.core.reset_in_place(self._fleet, mask, (rows[0], rows[1]), columns) == REFUSED:
-            raise self._refusal(where, "another value")
+            raise self._make_refusal(where, "another value")
 
     def to_device(self, values: ArrayLike) -> Any:
         """Return a copy of numbers where the arms are.
@@ -196,9 +196,9 @@ class CoreMachines(Synchronized):
         """
         if self.device is None:
             return np.array(values)
-        from arm_emulator_fleet.device_array import as_device_array
+        from arm_emulator_fleet.device_array import convert_to_device_array
 
-        return as_device_array(self.core.device, np.array(values))
+        return convert_to_device_array(self.core.device, np.array(values))
 
     @property
     @synchronized
@@ -207,7 +207,7 @@ class CoreMachines(Synchronized):
 
         It can be set, for all arms or for each.
         """
-        self._measure()
+        self._measure_arms()
         powered = self._powered.astype(bool)
         powered.flags.writeable = False  # an element set in a copy would stop no arm
         return powered
@@ -230,10 +230,10 @@ class CoreMachines(Synchronized):
 
         As `Plant.measured`, with arrays (count, N).
         """
-        self._measure()
+        self._measure_arms()
         return self._place.read_values()
 
-    def _measure(self) -> None:
+    def _measure_arms(self) -> None:
         self.core.arm_fleet_measure(self._fleet, self._measurement)
 
     @property
@@ -260,7 +260,7 @@ class CoreMachines(Synchronized):
         """
         where = "Fleet.set_parameter"
         mask = choose_arms(where, arms, self._count)
-        self._set_parameter(name, self._arguments.column(where, name, values, mask), mask)
+        self._set_parameter(name, self._arguments.read_column(where, name, values, mask), mask)
 
     @synchronized
     def set_parameters(self, rows: Array) -> None:
@@ -277,12 +277,12 @@ class CoreMachines(Synchronized):
             raise Refusal(where, "rows", f"have shape {shape}", np.shape(rows))
         values = np.ascontiguousarray(rows, np.float64)
         if self.core.arm_fleet_set_parameters(self._fleet, NULL, pointer(values)) == REFUSED:
-            raise self._refusal(where, "another value")
+            raise self._make_refusal(where, "another value")
 
     def _set_parameter(self, name: str, column: Array, mask: NDArray[np.bool_]) -> None:
         arguments = get_mask_bytes(mask), name.encode(), pointer(column)
         if self.core.arm_fleet_set_parameter(self._fleet, *arguments) == REFUSED:
-            raise self._refusal("Fleet.set_parameter", "another value")
+            raise self._make_refusal("Fleet.set_parameter", "another value")
 
     @synchronized
     def set_external_wrench(
@@ -335,7 +335,7 @@ class CoreMachines(Synchronized):
         if not valid or len(bytes(saved)) not in (size, self._count * size):
             rule = f"be the {self._count * size} bytes of `save`, or {size} of one arm"
             raise Refusal(where, "saved fleet", rule, saved)
-        self._restore(where, bytes(saved), len(bytes(saved)), arms)
+        self._restore_arms(where, bytes(saved), len(bytes(saved)), arms)
 
     def copy_state(
         self, arm: int, arms: ArrayLike | None = None, *, of: CoreMachines | None = None
@@ -362,7 +362,7 @@ class CoreMachines(Synchronized):
             raise Refusal(where, "of", "be a fleet of this scene", source.scene.name)
         saved = source.save_arm(check_count(where, "arm", arm, -len(source), len(source) - 1))
         with self.turn:
-            self._restore(where, saved, size, arms)
+            self._restore_arms(where, saved, size, arms)
 
     @synchronized
     def save_arm(self, arm: int) -> Any:
@@ -387,10 +387,10 @@ class CoreMachines(Synchronized):
         self.core.arm_fleet_give_back(self._fleet, arm)
         return saved.tobytes()
 
-    def _restore(self, where: str, saved: Any, size: int, arms: ArrayLike | None) -> None:
+    def _restore_arms(self, where: str, saved: Any, size: int, arms: ArrayLike | None) -> None:
         mask = NULL if arms is None else get_mask_bytes(choose_arms(where, arms, self._count))
         if self.core.arm_fleet_restore(self._fleet, mask, saved, size) == REFUSED:
-            raise self._refusal(where, "another one")
+            raise self._make_refusal(where, "another one")
 
     @property
     @synchronized
@@ -399,7 +399,7 @@ class CoreMachines(Synchronized):
         shape = self._count, self._N
         numbers = {name: np.zeros(shape) for name in ROWS}
         of_arm = {name: np.zeros(self._count) for name in ("t", "energy")}
-        self._look(**numbers, **of_arm)
+        self._read_truth(**numbers, **of_arm)
         for rows in (*numbers.values(), *of_arm.values()):
             rows.flags.writeable = False
         return FleetState(**numbers, **of_arm)
@@ -409,14 +409,14 @@ class CoreMachines(Synchronized):
     def faults(self) -> NDArray[np.int32]:
         """The joint at which each arm diverged (count,); -1: it goes on."""
         faults = np.zeros(self._count, np.int32)
-        self._look(fault=faults)
+        self._read_truth(fault=faults)
         return faults
 
-    def _look(self, **to: NDArray[Any]) -> None:
+    def _read_truth(self, **to: NDArray[Any]) -> None:
         places = {PLACES.get(name, name): rows for name, rows in to.items()}
         self.core.arm_fleet_get_truth(self._fleet, FLEET.make_struct("arm_fleet_truth", **places))
 
-    def _refusal(self, where: str, otherwise: str) -> Refusal:
+    def _make_refusal(self, where: str, otherwise: str) -> Refusal:
         """Return the refusal of a call for one of the arms."""
         arm = self.core.arm_fleet_refused(self._fleet)
         machine = self.core.arm_fleet_machine(self._fleet, arm)
@@ -472,7 +472,9 @@ class FleetArguments:
     def __init__(self, scene: Scene, count: int) -> None:
         self._scene, self._count, self._N = scene, count, len(scene.joints)
 
-    def column(self, where: str, name: str, values: ArrayLike, mask: NDArray[np.bool_]) -> Array:
+    def read_column(
+        self, where: str, name: str, values: ArrayLike, mask: NDArray[np.bool_]
+    ) -> Array:
         """Return the values of a varied number (count,), checked for those of the mask."""
         varied = find_varied(self._scene.varied, name, where)
         numbers = varied.number.check_numbers(where, values)
@@ -485,7 +487,7 @@ class FleetArguments:
         varied.number.check_values(where, column)
         return column
 
-    def commands(self, command: Commands, where: str, bound: Number = ANY_COMMAND) -> Array:
+    def read_commands(self, command: Commands, where: str, bound: Number = ANY_COMMAND) -> Array:
         """Return commands (count, N), given for all arms, one each, or by names of joints."""
         ordered = order_by_joint(command, self._scene, where)
         if ordered is not command:
@@ -495,9 +497,11 @@ class FleetArguments:
                 rule = f"have shape () or ({self._count},) for each joint"
                 raise Refusal(where, bound.name, rule, shapes)
             ordered = np.column_stack([np.broadcast_to(column, self._count) for column in columns])
-        return self.rows(ordered, None, where, bound)
+        return self.read_rows(ordered, None, where, bound)
 
-    def rows(self, values: Any, mask: NDArray[np.bool_] | None, where: str, bound: Number) -> Array:
+    def read_rows(
+        self, values: Any, mask: NDArray[np.bool_] | None, where: str, bound: Number
+    ) -> Array:
         """Return a row for each arm, checked; those of other arms than the mask's are 0."""
         numbers = bound.check_numbers(where, values)
         shape = (self._count, self._N)

@@ -55,12 +55,12 @@ class ProcessorDevice(Device):
     def free(self, pointer: int) -> None:  # noqa: D102
         raise AssertionError("memory of the processor is NumPy's")
 
-    def share(self, threads: int) -> WorkThreads:
+    def get_work_threads(self, threads: int) -> WorkThreads:
         """Return the division of a launch among cores, which learns from earlier launches."""
         key = os.getpid(), threads  # a fork has none of its parent's threads
         if key not in self._shares:
             while len(self._shares) >= MAX_COUNTS:
-                self._shares.pop(next(iter(self._shares))).end()
+                self._shares.pop(next(iter(self._shares))).end_threads()
             self._shares[key] = WorkThreads(threads, 1, self.units)
         return self._shares[key]
 
@@ -109,10 +109,10 @@ class ProcessorModule(Module):
             raise Refusal("Device.load", "image", rule, error) from None
         weakref.finalize(self, _load_loader().dlclose, self._library).atexit = False
 
-    def global_memory(self, name: str) -> Memory:  # noqa: D102
+    def find_global_memory(self, name: str) -> Memory:  # noqa: D102
         address = _load_loader().dlsym(self._library, name.encode())
         if not address:
-            raise Refusal("Module.global_memory", "name", "be in the module", name)
+            raise Refusal("Module.find_global_memory", "name", "be in the module", name)
         place = int(_LOADER.ffi.cast("uintptr_t", address))
         return Memory(self.device, place, _measure_symbol(address), self)
 
@@ -122,8 +122,8 @@ class ProcessorModule(Module):
 
     def _launch(self, kernel: CData, threads: int, packed: ctypes.Array[Any], block: int) -> None:
         arguments = _LOADER.ffi.cast("void **", ctypes.addressof(packed))
-        work = self._processor.share(threads)
-        work.do(threads, lambda first, count: kernel(first, count, arguments))
+        work = self._processor.get_work_threads(threads)
+        work.do_work(threads, lambda first, count: kernel(first, count, arguments))
 
 
 _LOADER = Header(Path(__file__).with_name("dynamic_loader.h"))

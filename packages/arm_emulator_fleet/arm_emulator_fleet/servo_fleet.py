@@ -176,9 +176,9 @@ class ServoFleet(FleetControl):
         if every * self._period > self._hold_after:
             rule = f"be at most {int(self._hold_after / self._period)}: hold_after of the servo"
             raise Refusal(where, "every", rule, every)
-        rows = [self._targets(where, POSITION.rename("q"), q)]
+        rows = [self._read_targets(where, POSITION.rename("q"), q)]
         for bound, values in ((VELOCITY.rename("v"), v), (EFFORT.rename("tau"), tau)):
-            targets = None if values is None else self._targets(where, bound, values)
+            targets = None if values is None else self._read_targets(where, bound, values)
             if targets is not None and targets.shape != rows[0].shape:
                 raise Refusal(
                     where, bound.name, f"have the shape of q, {rows[0].shape}", targets.shape
@@ -258,7 +258,7 @@ class ServoFleet(FleetControl):
         joints = SERVOS.make_pointer("servo_joint", rows)
         self._calls.servo_fleet_retune(self.struct, arm, joints)
 
-    def _targets(self, where: str, bound: Number, values: ArrayLike) -> Array:
+    def _read_targets(self, where: str, bound: Number, values: ArrayLike) -> Array:
         numbers = bound.check_numbers(where, values)
         shapes = (self._N,), (self._count, self._N)
         if numbers.ndim not in (2, 3) or numbers.shape[1:] not in shapes or not len(numbers):

@@ -54,15 +54,15 @@ class WorkThreads:
         """Start threads, whatever happened to earlier ones."""
         self._pool = ThreadPoolExecutor(self.workers - 1) if self.workers > 1 else None
 
-    def end(self) -> None:
-        """Let the threads end; none works between two calls of `do`.
+    def end_threads(self) -> None:
+        """Let the threads end; none works between two calls of `do_work`.
 
         Does not wait for them: the collector of garbage may call from one of them.
         """
         if self._pool:
             self._pool.shutdown(wait=False)
 
-    def do(self, worth: int, work: Callable[[int, int], object]) -> None:
+    def do_work(self, worth: int, work: Callable[[int, int], object]) -> None:
         """Do work(first, arms) on all arms.
 
         Args:
@@ -84,7 +84,7 @@ class WorkThreads:
             self._run_shared(self._pool, work)
         else:
             work(0, self._count)
-        self._note(size, shared, worth, time.perf_counter() - began)
+        self._note_time(size, shared, worth, time.perf_counter() - began)
 
     def _run_shared(self, pool: ThreadPoolExecutor, work: Callable[[int, int], object]) -> None:
         left = iter(self._shares)
@@ -111,7 +111,7 @@ class WorkThreads:
             self._saved[size] -= slower
         return (shared < GAIN * alone) is not tries
 
-    def _note(self, size: int, shared: bool, worth: int, spent: float) -> None:
+    def _note_time(self, size: int, shared: bool, worth: int, spent: float) -> None:
         if not shared and spent < SHORT:
             self._short = max(self._short, worth)
         self._saved[size] = self._saved.get(size, 0.0) + SPENT_ON_TRIALS * spent

@@ -278,7 +278,7 @@ def test_the_error_log_of_the_compiler_is_in_the_refusal(cards: SimpleNamespace)
 
 def test_a_variable_of_the_source_is_read_and_written(device: Device, kernels: Path) -> None:
     module = device.load(kernels.read_bytes())
-    offsets = module.global_memory("offsets")
+    offsets = module.find_global_memory("offsets")
     assert offsets.size == OFFSETS.nbytes
     np.testing.assert_array_equal(device.read(offsets, "f8", (3,)), OFFSETS)
     device.write(offsets, OFFSETS + 8.0)
@@ -287,7 +287,7 @@ def test_a_variable_of_the_source_is_read_and_written(device: Device, kernels: P
     module.launch("scale", 7, scaled(array, 1.0, 0))
     np.testing.assert_array_equal(array.numpy(), 8.0 + OFFSETS[np.arange(7) % 3])
     with pytest.raises(Refusal, match="name must be in the module, got nothing"):
-        module.global_memory("nothing")
+        module.find_global_memory("nothing")
 
 
 def test_modules_of_the_same_file_have_variables_of_their_own(
@@ -295,7 +295,7 @@ def test_modules_of_the_same_file_have_variables_of_their_own(
 ) -> None:
     for image in (kernels, kernels.read_bytes()):
         modules = [device.load(image) for _ in range(3)]
-        places = [module.global_memory("offsets") for module in modules]
+        places = [module.find_global_memory("offsets") for module in modules]
         for k, place in enumerate(places):
             device.write(place, np.full(3, float(k)))
         for k, (module, place) in enumerate(zip(modules, places, strict=True)):
@@ -313,7 +313,7 @@ def test_a_library_of_the_processor_is_unloaded(kernels: Path) -> None:
     device = ProcessorDevice(1)
     for _ in range(50):
         module = device.load(kernels)
-        offsets = module.global_memory("offsets")
+        offsets = module.find_global_memory("offsets")
         del module
         np.testing.assert_array_equal(device.read(offsets, "f8", (3,)), OFFSETS)
     del offsets
@@ -323,7 +323,7 @@ def test_a_library_of_the_processor_is_unloaded(kernels: Path) -> None:
 def test_a_module_lives_as_long_as_its_memory(cards: SimpleNamespace, kernels: Path) -> None:
     card = cards.open()
     module = card.load(kernels)
-    offsets = module.global_memory("offsets")
+    offsets = module.find_global_memory("offsets")
     del module
     assert "cuModuleUnload" not in dict(cards.stub.notes)
     np.testing.assert_array_equal(card.read(offsets, "f8", (3,)), OFFSETS)
@@ -361,7 +361,7 @@ WORK = {
     "cuMemsetD8_v2": lambda card, module, array: card.fill(array.memory, 0),
     "cuModuleLoadDataEx": lambda card, module, array: card.load(module.image),
     "cuModuleGetFunction": lambda card, module, array: module.describe("scale"),
-    "cuModuleGetGlobal_v2": lambda card, module, array: module.global_memory("offsets"),
+    "cuModuleGetGlobal_v2": lambda card, module, array: module.find_global_memory("offsets"),
     "cuFuncGetAttribute": lambda card, module, array: module.describe("take"),
     "cuLaunchKernel": lambda card, module, array: module.launch("take", 2, array, 1, 2.0, 3.0),
     "cuCtxPushCurrent_v2": lambda card, module, array: card.allocate(8),

@@ -15,7 +15,7 @@ import pytest
 from arm_emulator import Refusal
 from arm_emulator_fleet import dlpack
 from arm_emulator_fleet.device import Device
-from arm_emulator_fleet.device_array import DeviceArray, as_device_array
+from arm_emulator_fleet.device_array import DeviceArray, convert_to_device_array
 from arm_emulator_fleet.processor_device import ProcessorDevice
 
 pytest_plugins = ["devices"]
@@ -367,7 +367,7 @@ def test_arrays_of_others_on_the_card_are_taken_without_a_copy(
     array = place(card, np.arange(6.0).reshape(3, 2))
     pointer, memory = array.pointer, weakref.ref(array.memory)
     foreign = kind(array)
-    taken = as_device_array(card, foreign)
+    taken = convert_to_device_array(card, foreign)
     assert (taken.pointer, taken.shape, taken.dtype) == (pointer, (3, 2), np.float64)
     assert foreign.streams in ([], [1], [1, 1])
     del array, foreign
@@ -395,7 +395,7 @@ def test_the_stream_of_an_array_is_waited_for(cards: SimpleNamespace, stream, wa
     card = cards.open()
     foreign = ByInterface(place(card, np.arange(6.0)), stream=stream)
     cards.stub.calls.stub_forget()
-    as_device_array(card, foreign)
+    convert_to_device_array(card, foreign)
     assert ("cuStreamSynchronize" in dict(cards.stub.notes)) is waits
 
 
@@ -403,11 +403,11 @@ def test_arrays_that_must_not_be_written_to_are_copied(cards: SimpleNamespace) -
     card = cards.open()
     array = place(card, np.arange(6.0))
     foreign = ByInterface(array, data=(array.pointer, True))
-    taken = as_device_array(card, foreign)
+    taken = convert_to_device_array(card, foreign)
     assert taken.pointer != array.pointer and taken.numpy().tolist() == list(range(6))
     device, numbers = ProcessorDevice(1), np.arange(6.0)
     numbers.flags.writeable = False
-    taken = as_device_array(device, numbers)
+    taken = convert_to_device_array(device, numbers)
     assert taken.pointer != numbers.ctypes.data and taken.numpy().tolist() == list(range(6))
 
 
@@ -415,33 +415,33 @@ def test_an_array_on_another_card_is_copied(cards: SimpleNamespace) -> None:
     first, second = cards.open(0), cards.open(1)
     array = place(first, np.arange(6.0))
     for values in (array, ByDlpack(array)):
-        taken = as_device_array(second, values)
+        taken = convert_to_device_array(second, values)
         assert taken.device is second and taken.pointer != array.pointer
         assert taken.numpy().tolist() == list(range(6))
     with pytest.raises(Refusal, match=r"as_device_array: values must be an array of numbers"):
-        as_device_array(second, ByInterface(array))
+        convert_to_device_array(second, ByInterface(array))
 
 
 def test_strided_foreign_arrays_are_refused_in_a_line(cards: SimpleNamespace) -> None:
     card = cards.open()
     foreign = ByInterface(place(card, np.arange(6.0)), strides=(16,), shape=(3,))
     with pytest.raises(Refusal, match=r"as_device_array: values must be an array of numbers"):
-        as_device_array(card, foreign)
+        convert_to_device_array(card, foreign)
 
 
 def test_arrays_of_numpy_are_shared_where_they_can(cards: SimpleNamespace) -> None:
     device, card, numbers = ProcessorDevice(1), cards.open(), draw(shape=(4, 3))
-    shared = as_device_array(device, numbers)
+    shared = convert_to_device_array(device, numbers)
     assert shared.pointer == numbers.ctypes.data
     for view in (numbers.T, numbers[::2], numbers[:, 1], numbers.astype(">f8"), numbers.tolist()):
         for where in (device, card):
-            taken = as_device_array(where, view)
+            taken = convert_to_device_array(where, view)
             assert np.array_equal(taken.numpy(), np.asarray(view))
             assert taken.pointer != numbers.ctypes.data
-    assert as_device_array(device, numbers, "f8").pointer == numbers.ctypes.data
-    single = as_device_array(device, numbers, "f4")
+    assert convert_to_device_array(device, numbers, "f8").pointer == numbers.ctypes.data
+    single = convert_to_device_array(device, numbers, "f4")
     assert single.dtype == np.float32 and np.array_equal(single.numpy(), numbers.astype("f4"))
-    assert as_device_array(device, shared) is shared
+    assert convert_to_device_array(device, shared) is shared
 
 
 def test_arrays_of_a_library_on_the_processor_are_shared() -> None:
@@ -460,11 +460,11 @@ def test_arrays_of_a_library_on_the_processor_are_shared() -> None:
     device = ProcessorDevice(1)
     for dtype in DTYPES:
         numbers = draw(dtype, (3, 2))
-        taken = as_device_array(device, Library(numbers))
+        taken = convert_to_device_array(device, Library(numbers))
         assert taken.pointer == numbers.ctypes.data and taken.dtype == dtype
         assert np.array_equal(taken.numpy(), numbers)
     for view in (numbers.T, numbers[::2]):
-        taken = as_device_array(device, Library(view))
+        taken = convert_to_device_array(device, Library(view))
         assert np.array_equal(taken.numpy(), view) and taken.pointer != view.ctypes.data
     array = DeviceArray((3, 2), numbers.dtype, device)
     array.copy_from(Library(numbers))
@@ -474,7 +474,7 @@ def test_arrays_of_a_library_on_the_processor_are_shared() -> None:
 @pytest.mark.parametrize("values", [None, "abc", object(), [object()], {"a": 1.0}])
 def test_no_numbers(device: Device, values) -> None:
     with pytest.raises(Refusal, match=r"as_device_array: values must be an array of numbers"):
-        as_device_array(device, values)
+        convert_to_device_array(device, values)
 
 
 def test_cuda_arrays_are_on_cards_alone(cards: SimpleNamespace) -> None:

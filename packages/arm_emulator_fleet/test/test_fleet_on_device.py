@@ -665,6 +665,6 @@ def test_a_thread_gets_the_stack_that_the_kernels_need(located: Scene, fleet_car
     Fleet(located, 1, device="gpu")
     card = open_device.open_device("test", "gpu")
     assert isinstance(card, CudaDevice)
-    with card.current():
+    with card.enter_context():
         limit = DRIVER.get_constant("CU_LIMIT_STACK_SIZE")
         assert card.driver.get("cuCtxGetLimit", "size_t *", limit) >= STACK_WITH_EVENTS

@@ -18,7 +18,7 @@ from arm_emulator.extension.compiler import ARITHMETIC, SHARED_FLAGS, Unit, comp
 from arm_emulator.toolchain.flags import CPP_FLAGS
 from arm_emulator.toolchain.library_cache import CACHE_VARIABLE, LIBRARY, SEAL_SIZE
 from arm_emulator_fleet import gpu_compiler
-from arm_emulator_fleet.device_array import as_device_array
+from arm_emulator_fleet.device_array import convert_to_device_array
 from arm_emulator_fleet.gpu_compiler import (
     ARCHITECTURES,
     NAMES,
@@ -288,7 +288,7 @@ def test_the_same_source_is_loaded_by_either_device(
 ) -> None:
     unit = replace(make_unit(), more=("scale", "take"))
     module = load_kernels(ProcessorDevice(1), unit)
-    array = as_device_array(module.device, np.ones(3))
+    array = convert_to_device_array(module.device, np.ones(3))
     module.launch("scale", 3, struct.pack("Qdq", array.pointer, 2.0, 1))
     assert array.numpy().tolist() == [3.5, 3.25, 3.125]
     monkeypatch.setattr(gpu_compiler, "PTXAS", replace(gpu_compiler.PTXAS, find=find_nothing))

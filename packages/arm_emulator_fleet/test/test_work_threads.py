@@ -35,20 +35,20 @@ def test_work_is_divided_as_was_quicker(
 ) -> None:
     shares, clock = WorkThreads(ALL, 8, 2), Clock(monkeypatch, of_share, of_all)
     for _ in range(2):
-        shares.do(1000, clock.work)  # each way once
+        shares.do_work(1000, clock.work)  # each way once
     assert sum(arms for _, arms in clock.done) == 2 * ALL
     assert (0, ALL) in clock.done and len(clock.done) > 2
     clock.done.clear()
     for _ in range(5):
-        shares.do(1000, clock.work)
+        shares.do_work(1000, clock.work)
     assert len(clock.done) == (5 * 8 if shared else 5)
     clock.done.clear()
     began = clock.now
     while not clock.done or (clock.done[-1] == (0, ALL)) is not shared:
-        shares.do(1000, clock.work)
+        shares.do_work(1000, clock.work)
     slower = of_all if shared else 8 * of_share
     assert clock.now - began > 50 * slower, "trials of the slower way take a hundredth of the time"
-    shares.end()
+    shares.end_threads()
 
 
 def test_sharing_that_is_quick_now_and_then_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,17 +56,17 @@ def test_sharing_that_is_quick_now_and_then_is_left(monkeypatch: pytest.MonkeyPa
     shares, clock = WorkThreads(ALL, 8, 2), Clock(monkeypatch, 0.0, 1e-3)
     for call in range(3000):
         clock.of_share(3e-5 if call % 2 == 0 else 4e-4)
-        shares.do(1000, clock.work)
+        shares.do_work(1000, clock.work)
     assert clock.now < 3000 * 1e-3 * 1.1, "not a tenth more than in one thread"
-    shares.end()
+    shares.end_threads()
 
 
 def test_short_work_stays_in_the_calling_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     shares, clock = WorkThreads(ALL, 8, 2), Clock(monkeypatch, 1e-9, 0.9 * SHORT)
     for _ in range(10_000):
-        shares.do(1000, clock.work)
+        shares.do_work(1000, clock.work)
     assert set(clock.done) == {(0, ALL)}
-    shares.end()
+    shares.end_threads()
 
 
 def test_the_calling_thread_does_the_remaining_work() -> None:
@@ -80,25 +80,25 @@ def test_the_calling_thread_does_the_remaining_work() -> None:
         if threading.current_thread() is not threading.main_thread():
             free.wait(10.0)
 
-    first.append(threading.Thread(target=lambda: shares.do(10**6, work)))
+    first.append(threading.Thread(target=lambda: shares.do_work(10**6, work)))
     first[0].start()  # takes a share, and its helper another; both wait
     while len(done) < 2:
         pass
-    shares.do(10**6, lambda begins, _: done.append(1000 + begins))
+    shares.do_work(10**6, lambda begins, _: done.append(1000 + begins))
     assert sorted(index for index in done if index >= 1000) == [1000 + 8 * k for k in range(8)]
     free.set()
     first[0].join()
     assert sorted(index for index in done if index < 1000) == [8 * k for k in range(8)]
-    shares.end()
+    shares.end_threads()
 
 
 def test_large_work_begins_on_all_threads() -> None:
     for worth, calls in ((100, 1), (10**6, 8)):
         shares = WorkThreads(ALL, 8, 2)
         done: list[int] = []
-        shares.do(worth, lambda first, _, done=done: done.append(first))  # type: ignore[misc]
+        shares.do_work(worth, lambda first, _, done=done: done.append(first))  # type: ignore[misc]
         assert sorted(done) == sorted(range(0, ALL, ALL // calls))
-        shares.end()
+        shares.end_threads()
 
 
 def test_the_last_work_may_end_the_threads() -> None:
@@ -106,4 +106,4 @@ def test_the_last_work_may_end_the_threads() -> None:
     shares = WorkThreads(ALL, 8, 2)
     pool = shares._pool
     assert pool is not None
-    assert pool.submit(shares.end).result(timeout=60.0) is None
+    assert pool.submit(shares.end_threads).result(timeout=60.0) is None

@@ -13,7 +13,7 @@ from test_gpu_compiler import make_unit, needs_clang
 
 from arm_emulator import Refusal
 from arm_emulator_fleet.device import Device, DeviceError, Module
-from arm_emulator_fleet.device_array import DeviceArray, as_device_array
+from arm_emulator_fleet.device_array import DeviceArray, convert_to_device_array
 from arm_emulator_fleet.load_kernels import load_kernels
 from arm_emulator_fleet.open_device import open_device
 from arm_emulator_fleet.processor_device import ProcessorDevice
@@ -51,7 +51,7 @@ def test_the_card_reports_its_name(card: Device) -> None:
 def test_numbers_are_read_as_they_were_written(card: Device) -> None:
     for shape in ((), (0, 3), (7,), (1000, 1000)):
         numbers = RNG.normal(size=shape)
-        array = as_device_array(card, numbers)
+        array = convert_to_device_array(card, numbers)
         assert array.numpy().tobytes() == np.ascontiguousarray(numbers).tobytes()
         target = DeviceArray(shape, "f8", card)
         target.copy_from(array)
@@ -70,7 +70,7 @@ def test_the_card_computes_the_bits_of_the_processor(
         (card, module),
         (ProcessorDevice(), load_kernels(ProcessorDevice(1), make_unit(ADDRESS))),
     ):
-        array = as_device_array(kernels.device, numbers.copy())
+        array = convert_to_device_array(kernels.device, numbers.copy())
         packed = struct.pack("Qdq", array.pointer, np.pi, -7)
         for _ in range(3):
             kernels.launch("scale", threads, packed, block=block)
@@ -81,7 +81,7 @@ def test_the_card_computes_the_bits_of_the_processor(
 
 @needs_clang
 def test_variables_and_needs_of_a_module(card: Device, module: Module) -> None:
-    offsets = module.global_memory("offsets")
+    offsets = module.find_global_memory("offsets")
     assert card.read(offsets, "f8", (3,)).tolist() == [0.5, 0.25, 0.125]
     needs = module.describe("scale")
     print(needs)
@@ -130,7 +130,7 @@ def library(name: str) -> Any:
 
 def test_torch_shares_memory_with_us(card: Device) -> None:
     torch = library("torch")
-    array = as_device_array(card, np.arange(12.0).reshape(3, 4))
+    array = convert_to_device_array(card, np.arange(12.0).reshape(3, 4))
     tensor = torch.from_dlpack(array)
     assert tensor.data_ptr() == array.pointer and tensor.tolist() == array.numpy().tolist()
     tensor += 1.0
@@ -138,7 +138,7 @@ def test_torch_shares_memory_with_us(card: Device) -> None:
     with torch.cuda.stream(torch.cuda.Stream()):
         assert float(torch.from_dlpack(array[1]).sum()) == 5 + 6 + 7 + 8
     theirs = torch.arange(5, dtype=torch.float64, device="cuda:0")
-    ours = as_device_array(card, theirs)
+    ours = convert_to_device_array(card, theirs)
     assert ours.pointer == theirs.data_ptr() and ours.numpy().tolist() == [0, 1, 2, 3, 4]
     del array
     assert float(tensor.sum()) == sum(range(1, 13)), "the memory lives as long as the tensor"
@@ -146,22 +146,22 @@ def test_torch_shares_memory_with_us(card: Device) -> None:
 
 def test_cupy_shares_memory_with_us(card: Device) -> None:
     cupy = library("cupy")
-    array = as_device_array(card, np.arange(12.0))
+    array = convert_to_device_array(card, np.arange(12.0))
     for theirs in (cupy.from_dlpack(array), cupy.asarray(array)):
         assert theirs.data.ptr == array.pointer
         theirs += 1.0
     assert array.numpy().tolist() == list(range(2, 14))
-    assert as_device_array(card, theirs).pointer == array.pointer
+    assert convert_to_device_array(card, theirs).pointer == array.pointer
 
 
 def test_jax_shares_memory_with_us(card: Device) -> None:
     library("jax")
     jax = importlib.import_module("jax")
     jax.config.update("jax_enable_x64", True)
-    array = as_device_array(card, np.arange(12.0))
+    array = convert_to_device_array(card, np.arange(12.0))
     theirs = importlib.import_module("jax.dlpack").from_dlpack(array)
     assert theirs.unsafe_buffer_pointer() == array.pointer and float(theirs.sum()) == 66.0
-    assert as_device_array(card, theirs + 1.0).numpy().tolist() == list(range(1, 13))
+    assert convert_to_device_array(card, theirs + 1.0).numpy().tolist() == list(range(1, 13))
 
 
 FAILS = """
