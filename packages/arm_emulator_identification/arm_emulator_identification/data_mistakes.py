@@ -107,13 +107,13 @@ class DataMistakes:
             data.tau[some], data.moving[some], np.ones(self.N), 1.0,
         )  # fmt: skip
         self._cache = dict[bytes, tuple[Array, Array, Array]]()
-        self.noise = self.left(self.as_is)
+        self.noise = self.compute_unexplained_share(self.as_is)
 
-    def cost(self, view: RecordView) -> float:
+    def compute_cost(self, view: RecordView) -> float:
         """Return the misfit of a record."""
         wider = np.ones(len(self._phi) + self.N)
         for _ in range(ROUNDS):
-            solution = self._fit(view, wider, self.noise)
+            solution = self._fit_view(view, wider, self.noise)
             if solution is None:
                 return np.inf
             error, moved, coulomb = solution
@@ -125,12 +125,12 @@ class DataMistakes:
         total = float(np.sum(error[view.rows] ** 2) + moved @ moved + driven)
         return total if np.isfinite(total) else np.inf
 
-    def left(self, view: RecordView) -> Array:
+    def compute_unexplained_share(self, view: RecordView) -> Array:
         """Return the share of each joint's torque that no such machine explains (N,), within NOISE.
 
         Correlated errors count with their correlation length.
         """
-        solution = self._fit(
+        solution = self._fit_view(
             view, np.full(len(self._phi) + self.N, FREE), np.full(self.N, NOISE[0])
         )
         if solution is None:
@@ -141,10 +141,10 @@ class DataMistakes:
         ]
         return np.clip(NOISE[0] * np.array(shares), *NOISE)
 
-    def _fit(self, view: RecordView, wider: Array,
+    def _fit_view(self, view: RecordView, wider: Array,
              noise: Array) -> tuple[Array, Array, Array] | None:  # fmt: skip
         """Return errors per noise (K, N), numbers in their widths, and Coulomb friction (N,)."""
-        weight, moved, locked = self._links(view)
+        weight, moved, locked = self._compute_regressors(view)
         N, K = self.N, len(view.t)
         deviation = np.maximum(view.tau.std(axis=0), 1e-12)
         Y = (weight + moved / view.time**2) * view.scale[:, None]
@@ -180,7 +180,7 @@ class DataMistakes:
         """Return the record with its seconds scaled."""
         return replace(self.as_is, time=times)
 
-    def _links(self, view: RecordView) -> tuple[Array, Array, Array]:
+    def _compute_regressors(self, view: RecordView) -> tuple[Array, Array, Array]:
         """Return the links' regressor for weight and for motion, and spring torques (K, N)."""
         key = view.q.tobytes() + view.a.tobytes()
         if key not in self._cache:
@@ -202,24 +202,24 @@ class DataMistakes:
                 locked[:, j] += 0.0 if taken is None else taken
         return locked
 
-    def tried(self) -> Iterator[Mistake]:
+    def try_mistakes(self) -> Iterator[Mistake]:
         """Return every slip at the size of least cost."""
-        yield from self._units()
-        yield from self._scales()
+        yield from self._try_units()
+        yield from self._try_scales()
         yield from self._try_signs()
-        yield from self._times()
+        yield from self._try_times()
         yield from self._try_zeros()
         loaded = replace(self.as_is, loaded=True)
         another = "another load at the tool than the scene's payload"
-        yield self._try("load", another, loaded, SEARCHED)
+        yield self._try_view("load", another, loaded, SEARCHED)
 
-    def again(self, slip: Mistake) -> Mistake:
+    def update_cost(self, slip: Mistake) -> Mistake:
         """Return a slip with its cost at the present noise."""
-        return replace(slip, cost=self.cost(slip.view) + slip.alone)
+        return replace(slip, cost=self.compute_cost(slip.view) + slip.alone)
 
-    def _try(self, quantity: str, got: str, view: RecordView, alone: float = PLAIN,
+    def _try_view(self, quantity: str, got: str, view: RecordView, alone: float = PLAIN,
              scale: float = 0.0) -> Mistake:  # fmt: skip
-        return Mistake(quantity, got, self.cost(view) + alone, view, alone, scale)
+        return Mistake(quantity, got, self.compute_cost(view) + alone, view, alone, scale)
 
     def _list_groups(self) -> Iterator[tuple[int, str, Mask]]:
         """Yield all joints as -1, then each of several: number, words, and which they are (N,)."""
@@ -227,25 +227,25 @@ class DataMistakes:
         for j in range(self.N) if self.N > 1 else ():
             yield j, f" of {self.names[j]}", np.arange(self.N) == j
 
-    def _units(self) -> Iterator[Mistake]:
+    def _try_units(self) -> Iterator[Mistake]:
         view = self.as_is
-        yield self._try("angles", "deg, given as rad", self._scale_angles(DEG))
-        yield self._try("angles", "rad, given as deg", self._scale_angles(1.0 / DEG))
-        yield self._try("angles", "turns, given as rad", self._scale_angles(2.0 * np.pi))
+        yield self._try_view("angles", "deg, given as rad", self._scale_angles(DEG))
+        yield self._try_view("angles", "rad, given as deg", self._scale_angles(1.0 / DEG))
+        yield self._try_view("angles", "turns, given as rad", self._scale_angles(2.0 * np.pi))
         for factor, actual_unit in UNITS.items():
             scaled = replace(view, scale=np.full(self.N, factor))
-            yield self._try("torques", f"torques {actual_unit}", scaled, scale=factor)
+            yield self._try_view("torques", f"torques {actual_unit}", scaled, scale=factor)
         at_links = 1.0 / np.abs(self.scene.gear_ratios)
         if not np.allclose(at_links, 1.0):
             actual_unit = "torques at the links, not at the motors' shafts"
-            yield self._try("torques", actual_unit, replace(view, scale=at_links), scale=1e3)
+            yield self._try_view("torques", actual_unit, replace(view, scale=at_links), scale=1e3)
         constants = [getattr(joint.motor, "torque_constant", None) for joint in self.scene.joints]
         if None not in constants:
             amps = 1.0 / np.array(constants, np.float64)
             actual_unit = "currents in A, given as torques"
-            yield self._try("torques", actual_unit, replace(view, scale=amps), scale=1e3)
+            yield self._try_view("torques", actual_unit, replace(view, scale=amps), scale=1e3)
 
-    def _scales(self) -> Iterator[Mistake]:
+    def _try_scales(self) -> Iterator[Mistake]:
         """Torques and angles of all joints or of one, scaled."""
         view = self.as_is
         for j, of, here in self._list_groups():
@@ -254,37 +254,37 @@ class DataMistakes:
                 return replace(view, scale=np.where(here, size, 1.0))
 
             sizes = SIZES if j >= 0 else np.concatenate([SIZES, 10.0 ** np.arange(-6.0, 7.0)])
-            size = self._search(scale_torque, sizes, True)
+            size = self._search_size(scale_torque, sizes, True)
             actual = f"torques{of} {_describe_scale(size)}"
             if j >= 0 and abs(size * abs(self.scene.gear_ratios[j]) - 1.0) < 0.1:
                 actual = f"torque{of} at the link, not at the motor's shaft"
             scaled = scale_torque(size)
-            yield self._try(f"scale of the torques{of}", actual, scaled, SEARCHED, size)
+            yield self._try_view(f"scale of the torques{of}", actual, scaled, SEARCHED, size)
 
             def scale_angle(size: float, here: Mask = here) -> RecordView:
                 return self._scale_angles(np.where(here, 1.0 / size, 1.0))
 
-            size = self._search(scale_angle, SIZES[2:-2:2], True)
+            size = self._search_size(scale_angle, SIZES[2:-2:2], True)
             actual = f"angles{of} {_describe_scale(size)}"
-            yield self._try(f"scale of the angles{of}", actual, scale_angle(size), SEARCHED)
+            yield self._try_view(f"scale of the angles{of}", actual, scale_angle(size), SEARCHED)
             if j >= 0:
                 for factor, actual in (
                     (DEG, "deg, given as rad"),
                     (1.0 / DEG, "rad, given as deg"),
                 ):
                     turned = self._scale_angles(np.where(here, factor, 1.0))
-                    yield self._try(f"angles{of}", actual, turned)
+                    yield self._try_view(f"angles{of}", actual, turned)
 
     def _try_signs(self) -> Iterator[Mistake]:
         view, every = self.as_is, np.arange(self.N)
         opposite = "the opposite ones"
-        yield self._try("signs of all torques", opposite, replace(view, tau=-view.tau))
-        yield self._try("signs of all angles", opposite, self._scale_angles(-1.0))
+        yield self._try_view("signs of all torques", opposite, replace(view, tau=-view.tau))
+        yield self._try_view("signs of all angles", opposite, self._scale_angles(-1.0))
         for j, name in enumerate(self.names):
             flip = np.where(every == j, -1.0, 1.0)
             flipped = replace(view, tau=view.tau * flip)
-            yield self._try(f"signs of {name}'s torque", opposite, flipped)
-            yield self._try(f"signs of {name}'s angle", opposite, self._scale_angles(flip))
+            yield self._try_view(f"signs of {name}'s torque", opposite, flipped)
+            yield self._try_view(f"signs of {name}'s angle", opposite, self._scale_angles(flip))
         orders = [
             (f"{self.names[i]} and {self.names[j]}", _swap_joints(every, i, j))
             for i, j in combinations(range(self.N), 2)
@@ -298,62 +298,67 @@ class DataMistakes:
             tau = (view.tau * ratio)[:, order] / ratio
             moved = self._reorder_angles(order)
             actual = "swapped ones"
-            yield self._try(f"torques of {names}", actual, replace(view, tau=tau))
-            yield self._try(f"angles of {names}", actual, moved)
-            yield self._try(f"columns of {names}", actual, replace(moved, tau=tau))
+            yield self._try_view(f"torques of {names}", actual, replace(view, tau=tau))
+            yield self._try_view(f"angles of {names}", actual, moved)
+            yield self._try_view(f"columns of {names}", actual, replace(moved, tau=tau))
 
-    def _times(self) -> Iterator[Mistake]:
+    def _try_times(self) -> Iterator[Mistake]:
         view = self.as_is
-        size = self._search(self.scale_time, TIMES, True)
+        size = self._search_size(self.scale_time, TIMES, True)
         actual = f"a time base in which a second is {size:.3g} s"
-        yield self._try("t", actual, self.scale_time(size), SEARCHED)
+        yield self._try_view("t", actual, self.scale_time(size), SEARCHED)
 
         delays = LATEST * np.array([-1.0, -0.5, -0.25, -0.1, 0.1, 0.25, 0.5, 1.0])
         for j, of, here in self._list_groups():
 
-            def shift(seconds: float, here: Mask = here) -> RecordView:
+            def shift_torques(seconds: float, here: Mask = here) -> RecordView:
                 tau = self._torque(np.clip(view.t + seconds, *self._torque.x[[0, -1]]))
                 return replace(view, tau=np.where(here, tau, view.tau))
 
-            seconds = self._search(shift, delays, False)
+            seconds = self._search_size(shift_torques, delays, False)
             direction = "late" if seconds > 0.0 else "early"
             actual = f"torques that come {1e3 * abs(seconds):.3g} ms {direction}"
             # The torques of all joints have the same delay.
             alone = SEARCHED if j < 0 and seconds > 0.0 else RARE
-            yield self._try(f"time of the torques{of}", actual, shift(seconds), alone)
+            yield self._try_view(f"time of the torques{of}", actual, shift_torques(seconds), alone)
 
     def _try_zeros(self) -> Iterator[Mistake]:
         view = self.as_is
         for j, name in enumerate(self.names):
             offset = replace(view, offset=j)
-            yield self._try(f"zero of {name}'s torque", "another one, an offset", offset, SEARCHED)
+            yield self._try_view(
+                f"zero of {name}'s torque", "another one, an offset", offset, SEARCHED
+            )
             slides = self.scene.chain.joints[j].kind == "prismatic"
             if slides:
                 continue
 
-            def turn(zero: float, j: int = j) -> RecordView:
+            def turn_zero(zero: float, j: int = j) -> RecordView:
                 return replace(view, q=view.q - np.where(np.arange(self.N) == j, zero, 0.0))
 
             zeros = TURN * np.array([k for k in range(-12, 13) if k])
-            zero = self._search(turn, zeros, False)
+            zero = self._search_size(turn_zero, zeros, False)
             actual = f"one that is off by {zero:.3g} rad ({zero / DEG:.3g} deg)"
-            yield self._try(f"zero of {name}'s angle", actual, turn(zero), SEARCHED)
+            yield self._try_view(f"zero of {name}'s angle", actual, turn_zero(zero), SEARCHED)
 
-    def _search(self, of: Callable[[float], RecordView], sizes: Array,
+    def _search_size(self, of: Callable[[float], RecordView], sizes: Array,
                 by_ratio: bool) -> float:  # fmt: skip
         """Return the size of a slip with the least cost."""
         places = np.log(sizes) if by_ratio else sizes
 
-        def cost(place: float) -> float:
-            return self.cost(of(float(np.exp(place)) if by_ratio else float(place)))
+        def compute_cost(place: float) -> float:
+            return self.compute_cost(of(float(np.exp(place)) if by_ratio else float(place)))
 
         order = np.argsort(places)
         places = places[order]
-        costs = [cost(place) for place in places]
+        costs = [compute_cost(place) for place in places]
         best = int(np.argmin(costs))
         low, high = places[max(best - 1, 0)], places[min(best + 1, len(places) - 1)]
         optimum = minimize_scalar(
-            cost, bounds=(low, high), method="bounded", options={"maxiter": 12, "xatol": 1e-3}
+            compute_cost,
+            bounds=(low, high),
+            method="bounded",
+            options={"maxiter": 12, "xatol": 1e-3},
         )
         place = optimum.x if optimum.fun < costs[best] else places[best]
         return float(np.exp(place)) if by_ratio else float(place)

@@ -56,7 +56,7 @@ class Filtered:
     moving: Mask  # where friction has a direction
     fine: FineMotion
 
-    def settle(self, rows: Array) -> Array:
+    def smooth_samples(self, rows: Array) -> Array:
         """Return samples of `fine` (K, ...), low-passed, at the rows of this."""
         fine = self.fine
         smooth: Array = filter_low_pass(rows, fine.period, fine.frequency, fine.causal)[fine.kept]
@@ -87,11 +87,11 @@ def smooth_motion(
 ) -> tuple[Array, Array, Array]:
     """Return angles (K, N) low-passed at `frequency` [Hz], and their two rates."""
     smooth = filter_low_pass(q, period, frequency, causal)
-    v = _differentiate(smooth, period, causal)
-    return smooth, v, _differentiate(v, period, causal)
+    v = _differentiate_rows(smooth, period, causal)
+    return smooth, v, _differentiate_rows(v, period, causal)
 
 
-def _differentiate(rows: Array, period: float, causal: bool) -> Array:
+def _differentiate_rows(rows: Array, period: float, causal: bool) -> Array:
     """Return differences of second order: central ones, or, causally, backward ones."""
     rate: Array = np.gradient(rows, period, axis=0)
     if causal:

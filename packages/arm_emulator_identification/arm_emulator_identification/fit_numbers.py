@@ -101,12 +101,12 @@ def fit_numbers(
     fit = _Fit(scene, rows, measured, sought, modifier)
     x = fit.begin
     for _ in range(ROUNDS):
-        x = fit.better(x, fit.estimate_noise(x))
+        x = fit.solve_least_squares(x, fit.estimate_noise(x))
     left = np.split(np.mean(fit.followed(x.tobytes())[0] ** 2, axis=0), len(measured))
     return FittedNumbers(
         dict(zip(sought, x.tolist(), strict=True)),
-        dict(zip(sought, fit.deviations(x).tolist(), strict=True)),
-        fit.numbers_of(x),
+        dict(zip(sought, fit.compute_deviations(x).tolist(), strict=True)),
+        fit.make_numbers(x),
         {
             name: float(np.sqrt(np.mean(residual)))
             for name, residual in zip(measured, left, strict=True)
@@ -137,11 +137,11 @@ class _Fit:
         self.begin, self._width, self._low, self._high = np.array(ranges).T
         self._names, self._modifier = list(unknowns), modifier
         self._rows, self._signals = rows, list(measured)
-        self._machine = _make_varied_scene(scene, self.numbers_of(self.begin))
+        self._machine = _make_varied_scene(scene, self.make_numbers(self.begin))
         self._truth = np.concatenate([*measured.values()], axis=1)
-        self.followed = lru_cache(4)(self._followed)
+        self.followed = lru_cache(4)(self._compute_errors)
 
-    def numbers_of(self, x: Array) -> dict[str, float]:
+    def make_numbers(self, x: Array) -> dict[str, float]:
         """Return the scene's numbers that the unknowns make.
 
         Raises:
@@ -152,11 +152,11 @@ class _Fit:
             raise Refusal(WHERE, "modifier", "return numbers by name", numbers)
         return dict(numbers)
 
-    def _followed(self, at: bytes) -> tuple[Array, Array]:
+    def _compute_errors(self, at: bytes) -> tuple[Array, Array]:
         """Return the errors at some unknowns (K, C), and their slopes (K, C, U)."""
         x = np.frombuffer(at)
         steps = _choose_steps(x, self._width, self._low, self._high)
-        variations = [self.numbers_of(values) for values in (x, *(x + np.diag(steps)))]
+        variations = [self.make_numbers(values) for values in (x, *(x + np.diag(steps)))]
         outputs = _simulate_fleet(self._machine, variations, self._rows, self._signals)
         slopes = np.moveaxis((outputs[1:] - outputs[0]) / steps[:, None, None], 0, -1)
         return outputs[0] - self._truth, slopes
@@ -167,30 +167,30 @@ class _Fit:
         noise: Array = np.maximum(size, 1e-12 * (1.0 + np.abs(self._truth).max()))
         return noise
 
-    def _weight_errors(self, x: Array, noise: Array) -> tuple[Array, Array]:
+    def _weigh_errors(self, x: Array, noise: Array) -> tuple[Array, Array]:
         """Return errors and prior in units of their deviations, and the slopes."""
         error, slopes = self.followed(x.tobytes())
         rows = (slopes / noise[:, None]).reshape(-1, len(x))
         left = np.concatenate([(error / noise).ravel(), (x - self.begin) / self._width])
         return left, np.vstack([rows, np.diag(1.0 / self._width)])
 
-    def better(self, x: Array, noise: Array) -> Array:
+    def solve_least_squares(self, x: Array, noise: Array) -> Array:
         """Return the unknowns of least squares with this noise, from x on."""
         solution: Array = least_squares(
-            lambda x: self._weight_errors(x, noise)[0],
+            lambda x: self._weigh_errors(x, noise)[0],
             x,
-            lambda x: self._weight_errors(x, noise)[1],
+            lambda x: self._weigh_errors(x, noise)[1],
             bounds=(self._low, self._high),
             x_scale=self._width,
         ).x
         return solution
 
-    def deviations(self, x: Array) -> Array:
+    def compute_deviations(self, x: Array) -> Array:
         """Return the standard deviations of the unknowns (U,)."""
         error, every = self.followed(x.tobytes())[0], np.ones(len(self._rows), bool)
         # Errors that last over several periods count once.
         independent = np.sqrt([estimate_correlation(column, every) for column in error.T])
-        A = self._weight_errors(x, self.estimate_noise(x) * independent)[1]
+        A = self._weigh_errors(x, self.estimate_noise(x) * independent)[1]
         deviations: Array = np.sqrt(np.diag(np.linalg.inv(A.T @ A)))
         return deviations
 

@@ -33,7 +33,7 @@ class Found:
     mixed: tuple[str, ...] = ()  # numbers from which this record does not distinguish it
 
     @classmethod
-    def kept(cls, name: str, unit: str, value: float, **why: Any) -> Self:
+    def keep_number(cls, name: str, unit: str, value: float, **why: Any) -> Self:
         """Return a number that was not sought; `why`: `left`, `shown` or `mixed`."""
         return cls(name, unit, value, value, np.nan, False, **why)
 
@@ -103,7 +103,7 @@ def list_numbers(scene: Scene, fit: TorqueFit) -> list[Found]:
                 )
             )  # fmt: skip
         elif u in fit.left:
-            numbers.append(Found.kept(of.name, of.unit, of.value, left=fit.left[u]))
+            numbers.append(Found.keep_number(of.name, of.unit, of.value, left=fit.left[u]))
     return numbers
 
 
@@ -159,7 +159,7 @@ def list_unfitted(scene: Scene, unknowns: Sequence[Unknown], is_requested: Calla
                 elif number.excitation:
                     why = {"shown": number.excitation}
                 if why is not None:
-                    numbers.append(Found.kept(name, number.unit, value, **why))
+                    numbers.append(Found.keep_number(name, number.unit, value, **why))
     return numbers
 
 

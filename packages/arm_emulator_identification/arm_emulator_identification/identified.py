@@ -105,25 +105,25 @@ def identify_numbers(
     model = TorqueModel(nominal, typical, request.trust)
     gears = list_gears(nominal)
     by_torques = [pattern for pattern in request.fit if not _is_of_gears(gears, pattern)]
-    fitted = model.choose(by_torques, "identify")
+    fitted = model.choose_unknowns(by_torques, "identify")
     fitted = fitted & ~np.array(
         [has_match(unknown.name, request.hold) for unknown in model.unknowns]
     )
-    torques = model.of(motion)
+    torques = model.bind_motion(motion)
     fit = fit_torques(model, motion, fitted, torques)
     check_fit(run.where, run.joints, fit.explained)
     loads = _find_loads(model, motion, fit, torques)
-    return Identified(run, motion, fit, torques.torques(fit.values), loads, warnings)
+    return Identified(run, motion, fit, torques.compute_torques(fit.values), loads, warnings)
 
 
 def _find_loads(
     model: TorqueModel, motion: Filtered, fit: TorqueFit, torques: MotionTorques
 ) -> GearLoads:
     """Return the torques of the gears on the links, which fitted links and parts there take."""
-    load = motion.settle(torques.under(fit.values).load)
+    load = motion.smooth_samples(torques.update_loads(fit.values).load)
     at = model.at_links
     sizes, axes = np.linalg.eigh(fit.covariance[np.ix_(at, at)])
-    slopes = torques.slopes(fit.values)[:, :, at]
+    slopes = torques.compute_slopes(fit.values)[:, :, at]
     errors = np.moveaxis(slopes @ (axes * np.sqrt(np.maximum(sizes, 0.0))), 2, 0)
     return GearLoads(load, errors)
 

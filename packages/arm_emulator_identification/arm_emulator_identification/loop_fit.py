@@ -84,7 +84,7 @@ def list_loops(scene: Scene, run: MeasuredRun, motion: Filtered, loads: GearLoad
             left = "left as it was: its loop needs an encoder at the link"
         else:
             widths = before * [trust if is_requested(name) else FIXED for name in numbers]
-            values, off = _Loop(j, joint, run, motion).fit(loads, before, widths)
+            values, off = _Loop(j, joint, run, motion).fit_loads(loads, before, widths)
         loop_kind = next(
             part.list_numbers()[key].excitation for part, key in numbers.values() if part.loop_keys
         )
@@ -109,26 +109,26 @@ class _Loop:
         self.period = run.period
         self.quick = min(FOR_SIGN * motion.fine.frequency, 0.2 / run.period)
         measured = (run.q_motor - run.q_link)[:, j]
-        self.twist, self.rate = self.smooth(measured)
+        self.twist, self.rate = self.smooth_twist(measured)
         ranges = np.maximum.accumulate(self.twist) - np.minimum.accumulate(self.twist)
         settled = (ranges >= SETTLED * ranges[-1])[motion.fine.kept]
         self.rows: Mask = motion.moving[:, j] & settled
         rest = measured - self.twist
         noise = np.std(rest) / np.sqrt(1.0 - 2.0 * self.quick * run.period)
         draws = noise * np.random.default_rng(j).standard_normal((DRAWS, len(rest)))
-        self.noisy = [self.smooth(measured + draw)[0] for draw in draws]
+        self.noisy = [self.smooth_twist(measured + draw)[0] for draw in draws]
 
-    def smooth(self, twist: Array) -> tuple[Array, Array]:
+    def smooth_twist(self, twist: Array) -> tuple[Array, Array]:
         """Return a measured twist and its rate at every sample (K,), low-passed."""
         smooth, rate, _ = smooth_motion(twist[:, None], self.period, self.quick)
         return smooth[:, 0], rate[:, 0]
 
-    def settle(self, samples: Array) -> Array:
+    def smooth_samples(self, samples: Array) -> Array:
         """Return samples (K,) low-passed as the load is, in the rows that count (R,)."""
-        rows: Array = self.motion.settle(samples)[self.rows]
+        rows: Array = self.motion.smooth_samples(samples)[self.rows]
         return rows
 
-    def bend(self, shape: float) -> tuple[Array, Array]:
+    def compute_loop_torque(self, shape: float) -> tuple[Array, Array]:
         """Return the torque of a loop of size 1, and what noise of the encoders took from it.
 
         Elements that slip follow the peaks of noise, which makes loops narrower: by as much as the
@@ -138,12 +138,12 @@ class _Loop:
             **dict(zip(self.part.loop_keys, (1.0, shape), strict=True))
         )
         once = part.compute_loop_torque(self.twist)
-        taken = self.settle(
+        taken = self.smooth_samples(
             once - np.mean([part.compute_loop_torque(twist) for twist in self.noisy], axis=0)
         )
-        return self.settle(once) + taken, taken
+        return self.smooth_samples(once) + taken, taken
 
-    def fit(self, loads: GearLoads, before: Array, widths: Array) -> tuple[Array, Array]:
+    def fit_loads(self, loads: GearLoads, before: Array, widths: Array) -> tuple[Array, Array]:
         """Return means and standard deviations of stiffness, size and shape (3,).
 
         Args:
@@ -151,20 +151,24 @@ class _Loop:
             before: the scene's numbers.
             widths: their standard deviations.
         """
-        load = loads.load[self.rows, self.j] - self.settle(self.damping * self.rate)
-        errors = _reduce(loads.errors[:, self.rows, self.j])
-        twist, noise = self.settle(self.twist), float(np.std(load))
+        load = loads.load[self.rows, self.j] - self.smooth_samples(self.damping * self.rate)
+        errors = _reduce_errors(loads.errors[:, self.rows, self.j])
+        twist, noise = self.smooth_samples(self.twist), float(np.std(load))
         low, high = before[2] - AROUND * widths[2], before[2] + AROUND * widths[2]
         shapes = np.geomspace(max(low, MIN_SHARE * before[2]), high, COARSE)
         for turn in range(REFINEMENTS):
             points = [
                 _Point(
-                    shape, np.vstack([twist, self.bend(shape)[0], -errors]), load, before, widths
+                    shape,
+                    np.vstack([twist, self.compute_loop_torque(shape)[0], -errors]),
+                    load,
+                    before,
+                    widths,
                 )
                 for shape in shapes
             ]
             noise = min(point.estimate_noise(noise, self.rows) for point in points)
-            weights = np.array([point.weigh(noise) for point in points])
+            weights = np.array([point.weigh_shape(noise) for point in points])
             weights = np.exp(weights - weights.max())
             heavy = np.flatnonzero(weights > LIGHT)
             if turn == REFINEMENTS - 1 or (turn > 0 and len(heavy) > GRID // 2):
@@ -174,7 +178,7 @@ class _Loop:
         share = weights / weights.sum()
         means, squares = np.zeros(3), np.zeros(3)
         for part, point in zip(share, points, strict=True):
-            mean, variance = point.solve(noise)
+            mean, variance = point.solve_shape(noise)
             means += part * mean
             squares += part * (variance + mean**2)
         variances = np.maximum(squares - means**2, (1e-12 * means) ** 2)
@@ -189,9 +193,13 @@ class _Loop:
         K. D. West, Econometrica 55, 1987, with blocks in the place of lags).
         """
         stiffness, size, shape = means
-        bent, taken = self.bend(shape)
+        bent, taken = self.compute_loop_torque(shape)
         by = SLOPE * shape
-        slope = (self.bend(shape + by)[0] - self.bend(shape - by)[0]) * size / (2.0 * by)
+        slope = (
+            (self.compute_loop_torque(shape + by)[0] - self.compute_loop_torque(shape - by)[0])
+            * size
+            / (2.0 * by)
+        )
         A = np.vstack([twist, bent, slope, -errors])
         A -= A.mean(axis=1, keepdims=True)
         left = load - stiffness * twist - size * bent
@@ -227,7 +235,7 @@ class _Point:
         self.prior = np.append(before[:2], np.zeros(errors))
         self.per = np.append(widths[:2], np.ones(errors)) ** -2.0
 
-    def infer(self, noise: float) -> tuple[Array, Array]:
+    def infer_point(self, noise: float) -> tuple[Array, Array]:
         """Return means (P,) and their precision (P, P)."""
         precision = self.A.T @ self.A / noise**2 + np.diag(self.per)
         means: Array = np.linalg.solve(
@@ -237,28 +245,28 @@ class _Point:
 
     def estimate_noise(self, noise: float, rows: Mask) -> float:
         """Return the standard deviation of the load per independent row, where `noise` weighs."""
-        left = self.load - self.A @ self.infer(noise)[0]
+        left = self.load - self.A @ self.infer_point(noise)[0]
         every = np.zeros(len(rows))
         every[rows] = left
         independent = len(left) / estimate_correlation(every, rows) - len(self.prior) - 1.0
         return max(float(np.sqrt(left @ left / max(independent, 1.0))), 1e-300)
 
-    def weigh(self, noise: float) -> float:
+    def weigh_shape(self, noise: float) -> float:
         """Return the logarithm of the likelihood of this shape."""
-        means, precision = self.infer(noise)
+        means, precision = self.infer_point(noise)
         left = (self.load - self.A @ means) / noise
         far = self.per * (means - self.prior) ** 2
         log_det = np.linalg.slogdet(precision)[1]
         return float(-0.5 * (left @ left + far.sum() + log_det + self.apart**2))
 
-    def solve(self, noise: float) -> tuple[Array, Array]:
+    def solve_shape(self, noise: float) -> tuple[Array, Array]:
         """Return means and variances of stiffness, size and shape (3,)."""
-        means, precision = self.infer(noise)
+        means, precision = self.infer_point(noise)
         variances = np.diag(np.linalg.inv(precision))
         return np.append(means[:2], self.shape), np.append(variances[:2], 0.0)
 
 
-def _reduce(errors: Array) -> Array:
+def _reduce_errors(errors: Array) -> Array:
     """Return the fewest errors (M, R) of the same covariance, but for small ones."""
     if not errors.size:
         return errors

@@ -127,8 +127,8 @@ def check_speeds(scene: Scene, run: MeasuredRun, data: Filtered) -> None:
     common = float(np.median(factors))
     if wrong.all() and np.ptp(np.log(np.abs(factors))) < 0.1:
         data_mistakes = DataMistakes(scene, data)
-        with_clock = data_mistakes.cost(data_mistakes.scale_time(common))
-        if with_clock < (1.0 - A_SLIP[1]) * data_mistakes.cost(data_mistakes.as_is):
+        with_clock = data_mistakes.compute_cost(data_mistakes.scale_time(common))
+        if with_clock < (1.0 - A_SLIP[1]) * data_mistakes.compute_cost(data_mistakes.as_is):
             actual = f"rates {common:.4g} times as large, since a second of t is {common:.4g} s"
             raise Refusal(run.where, "t", "have the time base of v_mot", actual)
     raise Refusal(run.where, f"v_mot of {run.joints[j]}", rule, actual)
@@ -141,11 +141,13 @@ def check_mistakes(scene: Scene, run: MeasuredRun, data: Filtered) -> list[str]:
         Refusal: names the slip, or those that cannot be distinguished.
     """
     data_mistakes = DataMistakes(scene, data)
-    tried = sorted(data_mistakes.tried(), key=lambda slip: slip.cost)[:NEAREST]
+    tried = sorted(data_mistakes.try_mistakes(), key=lambda slip: slip.cost)[:NEAREST]
     # With the likeliest slip undone, less may stay unexplained.
-    data_mistakes.noise = np.minimum(data_mistakes.noise, data_mistakes.left(tried[0].view))
-    as_is = data_mistakes.cost(data_mistakes.as_is)
-    tried = sorted((data_mistakes.again(slip) for slip in tried), key=lambda slip: slip.cost)
+    data_mistakes.noise = np.minimum(
+        data_mistakes.noise, data_mistakes.compute_unexplained_share(tried[0].view)
+    )
+    as_is = data_mistakes.compute_cost(data_mistakes.as_is)
+    tried = sorted((data_mistakes.update_cost(slip) for slip in tried), key=lambda slip: slip.cost)
     best = tried[0]
     saved = as_is - best.cost
     if saved < A_DOUBT[0] or saved < A_DOUBT[1] * as_is:

@@ -82,11 +82,11 @@ class _Normal:
     left: list[Array]  # per joint: residual (n,)
     prior: Array  # (U + effects,) prior, in units of its width
 
-    def inverse(self) -> Array:
-        return _invert(sum(A.T @ A for A in self.rows) + np.diag(self.prior))
+    def compute_inverse(self) -> Array:
+        return _invert_matrix(sum(A.T @ A for A in self.rows) + np.diag(self.prior))
 
 
-def _invert(H: Array) -> Array:
+def _invert_matrix(H: Array) -> Array:
     """Return the inverse of a positive definite matrix, after scaling."""
     size = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
     within = H * size[:, None] * size[None, :] + 1e-12 * np.eye(len(H))
@@ -132,7 +132,7 @@ def find_structure(data: Filtered, slopes: Array, error: Array, weights: Array, 
         names, index, share = best
         candidate, columns = candidates.pop(index)
         before = [float(r @ r) for r in normal.left]
-        moved, coefficients = _take(normal, columns)
+        moved, coefficients = _add_effect(normal, columns)
         shift += moved[:U]
         size = float(coefficients[0]) * candidate.scale
         lost_sizes = [
@@ -181,12 +181,12 @@ def _estimate_noise(left: Array, weights: Array, independent: float) -> float:
 def _find_best(normal: _Normal, candidates: list[tuple[Columns, dict[int, Array]]],
           masks: list[Mask]) -> tuple[list[str], int, float] | None:  # fmt: skip
     """Return names, index and share of the likeliest effect, if one is likely enough."""
-    inverse = normal.inverse()
+    inverse = normal.compute_inverse()
     gains = np.array([_compute_gain(normal, inverse, columns) for _, columns in candidates])
     ranking = []
     for index in np.argsort(-gains)[:CLOSELY]:
         candidate, columns = candidates[int(index)]
-        dx, b = _solve(normal, inverse, columns)
+        dx, b = _solve_effect(normal, inverse, columns)
         before = after = likelihood = 0.0
         count = 0.0
         for j, C in columns.items():
@@ -226,7 +226,9 @@ def _compute_gain(normal: _Normal, inverse: Array, columns: dict[int, Array]) ->
     return float(c @ np.linalg.solve(own, c)) / max(left, 1e-300)
 
 
-def _solve(normal: _Normal, inverse: Array, columns: dict[int, Array]) -> tuple[Array, Array]:
+def _solve_effect(
+    normal: _Normal, inverse: Array, columns: dict[int, Array]
+) -> tuple[Array, Array]:
     """Return the shift of the unknowns beside an effect, and its coefficients."""
     g, S, c = _compute_products(normal, columns)
     own = S - g.T @ inverse @ g + np.diag(1e-3 * np.diag(S) + 1e-300)
@@ -234,9 +236,9 @@ def _solve(normal: _Normal, inverse: Array, columns: dict[int, Array]) -> tuple[
     return np.array(-inverse @ g @ b, np.float64), b
 
 
-def _take(normal: _Normal, columns: dict[int, Array]) -> tuple[Array, Array]:
+def _add_effect(normal: _Normal, columns: dict[int, Array]) -> tuple[Array, Array]:
     """Add an effect to the model; return the shift of the unknowns, and its coefficients."""
-    dx, b = _solve(normal, normal.inverse(), columns)
+    dx, b = _solve_effect(normal, normal.compute_inverse(), columns)
     m = len(b)
     size = sum(np.sum(C**2, axis=0) for C in columns.values())
     for j, A in enumerate(normal.rows):
@@ -262,7 +264,7 @@ def _estimate_covariance(normal: _Normal, masks: list[Mask], independent: Array)
         )
         rows.append(A * per)
         left.append(r * per)
-    inverse = _invert(sum(A.T @ A for A in rows) + np.diag(normal.prior))
+    inverse = _invert_matrix(sum(A.T @ A for A in rows) + np.diag(normal.prior))
     K = len(masks[0])
     block = int(np.clip(2.0 * float(np.max(independent)), 1, max(1, K // 12)))
     scores = np.zeros((-(-K // block), len(inverse)))
@@ -287,7 +289,7 @@ def _list_candidates(data: Filtered, load: Array, error: Array,
     N = error.shape[1]
     T = max(float(data.t[-1] - data.t[0]), 1e-12)
     since = (fine.t - data.t[0]) / T - 0.5
-    settle = data.settle
+    settle = data.smooth_samples
     computed = data.tau + error
     rate = np.gradient(computed, data.t, axis=0)
     every = dict[int, Array]()
@@ -297,29 +299,29 @@ def _list_candidates(data: Filtered, load: Array, error: Array,
         travel = max(float(np.ptp(q)), 1e-12)
         here = data.direction[:, j]
 
-        def propose(name: str, *columns: Array, opposite: str = "", joint: int = j) -> Columns:
+        def make_columns(name: str, *columns: Array, opposite: str = "", joint: int = j) -> Columns:
             return Columns(name, {joint: np.column_stack(columns)}, opposite)
 
         for share in SLOW:
             fallen = sign * np.exp(-np.minimum((v / (share * top)) ** 2, 700.0))
-            yield propose(FALLS, settle(fallen), opposite=RISES)
-        yield propose(BENDS, settle(v * np.abs(v)))
-        yield propose(BENDS, settle(sign * np.sqrt(np.abs(v))))
+            yield make_columns(FALLS, settle(fallen), opposite=RISES)
+        yield make_columns(BENDS, settle(v * np.abs(v)))
+        yield make_columns(BENDS, settle(sign * np.sqrt(np.abs(v))))
         after = _measure_travel(q, sign)
         for share in SHORT:
-            yield propose(TRAVEL, settle(sign * np.exp(-after / (share * travel))))
-        yield propose(LOAD, here * np.abs(load[:, j]))
-        yield propose(ZERO, np.ones(len(data.t)))
-        yield propose(WARMS, settle(sign * since))
-        yield propose(WARMS, settle(v * since))
-        yield propose(WEAKENS, computed[:, j] * ((data.t - data.t[0]) / T - 0.5))
-        yield propose(DRIFTS, (data.t - data.t[0]) / T - 0.5)
+            yield make_columns(TRAVEL, settle(sign * np.exp(-after / (share * travel))))
+        yield make_columns(LOAD, here * np.abs(load[:, j]))
+        yield make_columns(ZERO, np.ones(len(data.t)))
+        yield make_columns(WARMS, settle(sign * since))
+        yield make_columns(WARMS, settle(v * since))
+        yield make_columns(WEAKENS, computed[:, j] * ((data.t - data.t[0]) / T - 0.5))
+        yield make_columns(DRIFTS, (data.t - data.t[0]) / T - 0.5)
         every[j] = rate[:, j : j + 1]
         yield Columns(EARLY, {j: every[j]}, LATE, 1e3, "ms")
         for order in _find_orders(data, error[:, j], masks[j], j):
             wave = settle(np.column_stack([np.sin(order * q), np.cos(order * q)]))
-            yield propose(RIPPLE, wave)
-            yield propose(RIPPLE, wave * computed[:, j : j + 1])
+            yield make_columns(RIPPLE, wave)
+            yield make_columns(RIPPLE, wave * computed[:, j : j + 1])
     if N > 1:
         yield Columns(EARLY, every, LATE, 1e3, "ms")
 

@@ -70,21 +70,21 @@ def fit_torques(model: TorqueModel, data: Filtered, fitted: Mask,
         model: the machine.
         data: the motion, low-passed.
         fitted: which unknowns to seek (U,).
-        motion: of `model.of(data)`, if already computed.
+        motion: of `model.bind_motion(data)`, if already computed.
     """
-    motion = motion or model.of(data)
+    motion = motion or model.bind_motion(data)
     fitted = fitted.copy()
     left = dict[int, str]()
     while True:
-        values, weights, motion = _search(model, data, fitted, motion)
+        values, weights, motion = _search_values(model, data, fitted, motion)
         driven = _find_driven(model, fitted, values)
         if not driven:
             break
         for u, bound in driven.items():
             left[u] = f"left as it was: this record drives it to {bound:.3g}"
             fitted[u] = False
-    error = motion.torques(values) - data.tau
-    slopes = motion.slopes(values)[:, :, fitted]
+    error = motion.compute_torques(values) - data.tau
+    slopes = motion.compute_slopes(values)[:, :, fitted]
     widths = model.widths[fitted]
     structure = find_structure(data, slopes, error, weights, widths, motion.load[data.fine.kept])
     covariance = np.zeros((len(values), len(values)))
@@ -102,7 +102,7 @@ def fit_torques(model: TorqueModel, data: Filtered, fitted: Mask,
     )  # fmt: skip
 
 
-def _search(model: TorqueModel, data: Filtered, fitted: Mask,
+def _search_values(model: TorqueModel, data: Filtered, fitted: Mask,
             motion: MotionTorques) -> tuple[Array, Array, MotionTorques]:  # fmt: skip
     """Return values (U,), weights of rows (K, N), and the motion under the gears' loads then."""
     start, widths = model.start, model.widths[fitted]
@@ -117,7 +117,7 @@ def _search(model: TorqueModel, data: Filtered, fitted: Mask,
     # Well inside the bounds, near which steps become short.
     values[fitted] = np.clip(values[fitted], low + inner, high - inner)
 
-    def fill(some: Array) -> Array:
+    def fill_values(some: Array) -> Array:
         every = start.copy()
         every[fitted] = some
         return every
@@ -126,12 +126,12 @@ def _search(model: TorqueModel, data: Filtered, fitted: Mask,
         per = (np.sqrt(weights) / noise)[rows]
 
         def compute_residuals(some: Array, per: Array = per, at: MotionTorques = motion) -> Array:
-            every = fill(some)
-            error = (at.torques(every) - data.tau)[rows] * per
+            every = fill_values(some)
+            error = (at.compute_torques(every) - data.tau)[rows] * per
             return np.concatenate([error, (every - start)[fitted] / widths])
 
         def compute_slopes(some: Array, per: Array = per, at: MotionTorques = motion) -> Array:
-            scaled = at.slopes(fill(some))[:, :, fitted][rows] * per[:, None]
+            scaled = at.compute_slopes(fill_values(some))[:, :, fitted][rows] * per[:, None]
             return np.concatenate([scaled, np.diag(1.0 / widths)])
 
         inside = np.clip(values[fitted], low + 1e-4 * inner, high - 1e-4 * inner)
@@ -143,9 +143,9 @@ def _search(model: TorqueModel, data: Filtered, fitted: Mask,
             x_scale=widths,
             max_nfev=60,
         )
-        values = fill(solution.x)
-        motion = motion.under(values)
-        error = motion.torques(values) - data.tau
+        values = fill_values(solution.x)
+        motion = motion.update_loads(values)
+        error = motion.compute_torques(values) - data.tau
         samples = used = 0.0
         for j, r in enumerate(rows.T):
             typical = max(1.4826 * float(np.median(np.abs(error[r, j]))) if r.any() else 1.0, 1e-12)

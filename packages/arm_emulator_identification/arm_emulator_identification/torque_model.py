@@ -57,7 +57,7 @@ class Piece:
     first: int  # of its unknowns, in the row of all
     keys: tuple[str, ...]
 
-    def numbers(self, unknowns: Array) -> dict[str, float]:
+    def select_numbers(self, unknowns: Array) -> dict[str, float]:
         """Return its numbers of a row of unknowns, by key."""
         return {key: float(unknowns[self.first + k]) for k, key in enumerate(self.keys)}
 
@@ -112,7 +112,7 @@ class TorqueModel:
         self.links = len(self.unknowns)
         self.pieces = list[Piece]()
         for j, joint in enumerate(scene.joints):
-            self._add(j, joint, (float(typical[0][j]), float(typical[1][j])), trust)
+            self._add_joint(j, joint, (float(typical[0][j]), float(typical[1][j])), trust)
         self.offsets = len(self.unknowns)
         for joint, torque in zip(scene.joints, typical[0], strict=True):
             name = f"joints.{joint.name}.measured_torque.offset"
@@ -121,7 +121,7 @@ class TorqueModel:
         self.start = np.array([unknown.value for unknown in self.unknowns])
         self.widths = np.array([unknown.width for unknown in self.unknowns])
 
-    def _add(self, j: int, joint: Joint, typical: tuple[float, float], trust: float) -> None:
+    def _add_joint(self, j: int, joint: Joint, typical: tuple[float, float], trust: float) -> None:
         place = f"joints.{joint.name}"
         fitted_keys = _choose_keys(joint)
         for part in joint.parts:
@@ -145,7 +145,7 @@ class TorqueModel:
                 )
             self.pieces.append(piece)
 
-    def choose(self, patterns: Sequence[str], where: str) -> Mask:
+    def choose_unknowns(self, patterns: Sequence[str], where: str) -> Mask:
         """Return the unknowns (U,) that match the patterns.
 
         Offsets of torques hide errors of weight and friction, and must be named themselves.
@@ -166,16 +166,16 @@ class TorqueModel:
         chosen: Mask = np.array(matches) & (self.widths > 0.0)
         return chosen
 
-    def of(self, data: Filtered) -> MotionTorques:
+    def bind_motion(self, data: Filtered) -> MotionTorques:
         """Return the torques of a motion as a function of the unknowns.
 
-        Gears transmit the torques of the scene's links, see `MotionTorques.under`.
+        Gears transmit the torques of the scene's links, see `MotionTorques.update_loads`.
         """
         Y = self.regressor(data.q, data.v, data.a)
         at_link = data.fine.tau / self.scene.gear_ratios
         motion = MotionTorques(self, data, Y, np.zeros_like(at_link), at_link, [])
         for _ in range(LOADED):
-            motion = motion.under(self.start)
+            motion = motion.update_loads(self.start)
         return motion
 
     @property
@@ -186,7 +186,7 @@ class TorqueModel:
             at_link[piece.first : piece.first + len(piece.keys)] = piece.part.shaft != "rotor"
         return at_link
 
-    def bodies(self, unknowns: Array) -> Array:
+    def compute_bodies(self, unknowns: Array) -> Array:
         """Return the ten numbers of each link (L, 10), without the payload."""
         links = unknowns[: self.links].reshape(-1, inertia.NUMBERS)
         return np.array([inertia.map_exponential(link) for link in links])
@@ -246,7 +246,7 @@ class MotionTorques:
     motor: Array  # N m or N, of the motors, at the links and the same samples
     efforts: list[_Effort]
 
-    def under(self, unknowns: Array) -> MotionTorques:
+    def update_loads(self, unknowns: Array) -> MotionTorques:
         """Return the torques at these unknowns, of gears and motors that drive these links.
 
         The measured torque of a motor is no measure of its own friction: its noise would stand on
@@ -254,26 +254,26 @@ class MotionTorques:
         """
         # Below the low-pass, a curve through the rows reproduces the samples.
         t = np.clip(self.data.fine.t, self.data.t[0], self.data.t[-1])
-        load = CubicSpline(self.data.t, self._links(unknowns))(t)
+        load = CubicSpline(self.data.t, self._compute_link_torques(unknowns))(t)
         of_rotors = np.zeros_like(load)
         for piece in self.model.pieces:
             into = of_rotors if piece.part.shaft == "rotor" else load
-            into[:, piece.joint] += self._act(piece, piece.numbers(unknowns))
+            into[:, piece.joint] += self._compute_action(piece, piece.select_numbers(unknowns))
         motor = load + of_rotors
         rigid = [joint.gear.stiffness is None for joint in self.model.scene.joints]
         load[:, rigid] = motor[:, rigid]  # there, the full motor torque
         loaded = dataclasses.replace(self, load=load, motor=motor)
-        efforts = [loaded.examine(piece) for piece in self.model.pieces]
+        efforts = [loaded.examine_piece(piece) for piece in self.model.pieces]
         return dataclasses.replace(loaded, efforts=efforts)
 
-    def torques(self, unknowns: Array) -> Array:
+    def compute_torques(self, unknowns: Array) -> Array:
         """Return the torques (K, N) [N m or N]."""
-        torques = self._links(unknowns)
+        torques = self._compute_link_torques(unknowns)
         for effort in self.efforts:
-            torques[:, effort.piece.joint] += self._effort(effort, unknowns)
+            torques[:, effort.piece.joint] += self._compute_effort(effort, unknowns)
         return torques + self._offsets * unknowns[self.model.offsets :]
 
-    def slopes(self, unknowns: Array) -> Array:
+    def compute_slopes(self, unknowns: Array) -> Array:
         """Return the derivatives of the torques in the unknowns (K, N, U)."""
         model = self.model
         K, N, _ = self.Y.shape
@@ -285,7 +285,7 @@ class MotionTorques:
             slopes[:, :, here] = pieces[:, :, k] @ inertia.differentiate_exponential(link)
         for effort in self.efforts:
             here = slice(effort.piece.first, effort.piece.first + len(effort.piece.keys))
-            slopes[:, effort.piece.joint, here] = self._slopes_of(effort, unknowns)
+            slopes[:, effort.piece.joint, here] = self._compute_effort_slopes(effort, unknowns)
         for j, offset in enumerate(self._offsets):
             slopes[:, j, model.offsets + j] = offset
         return slopes
@@ -294,57 +294,62 @@ class MotionTorques:
     def _offsets(self) -> Array:
         return 1.0 / self.model.scene.gear_ratios
 
-    def _links(self, unknowns: Array) -> Array:
-        phi = self.model.bodies(unknowns).ravel() + self.model.rest
+    def _compute_link_torques(self, unknowns: Array) -> Array:
+        phi = self.model.compute_bodies(unknowns).ravel() + self.model.rest
         tau: Array = self.Y @ phi
         return tau
 
-    def _effort(self, effort: _Effort, unknowns: Array) -> Array:
+    def _compute_effort(self, effort: _Effort, unknowns: Array) -> Array:
         piece = effort.piece
         if effort.columns is None:
-            return self._ask(piece, piece.numbers(unknowns))
+            return self._smooth_action(piece, piece.select_numbers(unknowns))
         here = unknowns[piece.first : piece.first + len(piece.keys)]
         torque: Array = effort.constant + effort.columns @ here
         return torque
 
-    def _slopes_of(self, effort: _Effort, unknowns: Array) -> Array:
+    def _compute_effort_slopes(self, effort: _Effort, unknowns: Array) -> Array:
         if effort.columns is not None:
             return effort.columns
         piece, columns = effort.piece, []
-        for k, (key, value) in enumerate(piece.numbers(unknowns).items()):
+        for k, (key, value) in enumerate(piece.select_numbers(unknowns).items()):
             unknown = self.model.unknowns[piece.first + k]
             by = SMALL * unknown.width
             ends = [min(value + by, unknown.most), max(value - by, unknown.least)]
-            up, down = (self._ask(piece, piece.numbers(unknowns) | {key: end}) for end in ends)
+            up, down = (
+                self._smooth_action(piece, piece.select_numbers(unknowns) | {key: end})
+                for end in ends
+            )
             columns.append((up - down) / (ends[0] - ends[1]))
         return np.column_stack(columns)
 
-    def examine(self, piece: Piece) -> _Effort:
+    def examine_piece(self, piece: Piece) -> _Effort:
         """Determine whether a part is linear in its unknowns."""
         numbers = {key: float(getattr(piece.part, key)) for key in piece.keys}
         by = {
             key: TRIED * self.model.unknowns[piece.first + k].width
             for k, key in enumerate(piece.keys)
         }
-        base = self._ask(piece, numbers)
+        base = self._smooth_action(piece, numbers)
         nothing = np.zeros((len(base), 0))
         columns = [
-            (self._ask(piece, numbers | {key: numbers[key] + by[key]}) - base) / by[key]
+            (self._smooth_action(piece, numbers | {key: numbers[key] + by[key]}) - base) / by[key]
             for key in piece.keys
         ]
         X = np.column_stack(columns) if columns else nothing
-        twice = self._ask(piece, {key: numbers[key] + 2.0 * by[key] for key in piece.keys})
+        twice = self._smooth_action(
+            piece, {key: numbers[key] + 2.0 * by[key] for key in piece.keys}
+        )
         expected = base + 2.0 * (X @ np.array(list(by.values())) if columns else 0.0)
         size = np.abs(twice).max() + np.abs(base).max()
         if np.abs(twice - expected).max() > LINEAR * size:
             return _Effort(piece, base, None)
         return _Effort(piece, base - X @ np.array(list(numbers.values())), X)
 
-    def _ask(self, piece: Piece, numbers: Mapping[str, float]) -> Array:
+    def _smooth_action(self, piece: Piece, numbers: Mapping[str, float]) -> Array:
         """Return the torque of a part with given numbers at the link (K,), low-passed."""
-        return self.data.settle(self._act(piece, numbers))
+        return self.data.smooth_samples(self._compute_action(piece, numbers))
 
-    def _act(self, piece: Piece, numbers: Mapping[str, float]) -> Array:
+    def _compute_action(self, piece: Piece, numbers: Mapping[str, float]) -> Array:
         """Return the torque of a part with given numbers at the link, at every sample."""
         fine, j = self.data.fine, piece.joint
         ratio = self.model.scene.joints[j].gear.ratio

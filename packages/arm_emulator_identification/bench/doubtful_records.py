@@ -82,14 +82,14 @@ def make_torque_driven(scene: Scene, period: float, fitted: Collection[str]) -> 
         motor for motor in MOTORS if motor.inputs == (TORQUE,)
     )  # which has an inertia
 
-    def driven(joint: Joint) -> Joint:
+    def replace_motor(joint: Joint) -> Joint:
         if joint.motor is None or joint.inputs == (TORQUE,):
             return joint
         mechanical = tuple(decorator for decorator in joint.decorators if not decorator.electrical)
         motor = ideal(rotor_inertia=joint.motor.inertia)
         return dataclasses.replace(joint, motor=motor, decorators=mechanical)
 
-    joints = tuple(driven(joint) for joint in scene.joints)
+    joints = tuple(replace_motor(joint) for joint in scene.joints)
     steps = max(1, round(period / scene.integrator.dt))
     varied = tuple(
         number for number in list_variable_numbers(joints, scene.chain, ()) if number.name in fitted
@@ -128,10 +128,10 @@ def _change_joints(scene: Scene, of: Callable[[Joint], Joint]) -> Scene:
     return dataclasses.replace(scene, joints=tuple(of(joint) for joint in scene.joints))
 
 
-def stribeck(scene: Scene, rng: np.random.Generator) -> Scene:
+def add_stribeck(scene: Scene, rng: np.random.Generator) -> Scene:
     """Friction that falls with speed."""
 
-    def of(joint: Joint) -> Joint:
+    def change_joint(joint: Joint) -> Joint:
         own = joint.rotor_friction
         assert own is not None
         slow = rng.uniform(0.03, 0.12) / abs(joint.gear.ratio)
@@ -141,13 +141,13 @@ def stribeck(scene: Scene, rng: np.random.Generator) -> Scene:
         )
         return dataclasses.replace(joint, rotor_friction=law)
 
-    return _change_joints(scene, of)
+    return _change_joints(scene, change_joint)
 
 
-def bristles(scene: Scene, rng: np.random.Generator) -> Scene:
+def add_bristles(scene: Scene, rng: np.random.Generator) -> Scene:
     """Friction that builds up over a way after each reversal."""
 
-    def of(joint: Joint) -> Joint:
+    def change_joint(joint: Joint) -> Joint:
         own = joint.rotor_friction
         assert own is not None
         travel = rng.uniform(0.01, 0.04) / abs(joint.gear.ratio)
@@ -157,33 +157,33 @@ def bristles(scene: Scene, rng: np.random.Generator) -> Scene:
         viscous = RotorFriction(viscous=own.viscous)
         return dataclasses.replace(joint, rotor_friction=viscous, extras=(*joint.extras, law))
 
-    return _change_joints(scene, of)
+    return _change_joints(scene, change_joint)
 
 
-def ripple(scene: Scene, rng: np.random.Generator) -> Scene:
+def add_ripple(scene: Scene, rng: np.random.Generator) -> Scene:
     """Torque that goes with the angle of the motor."""
 
-    def of(joint: Joint) -> Joint:
+    def change_joint(joint: Joint) -> Joint:
         order = rng.uniform(10.0, 25.0) * abs(joint.gear.ratio)
         wave = (order, rng.uniform(0.06, 0.12), rng.uniform(-3.0, 3.0))
         return dataclasses.replace(
             joint, decorators=(*joint.decorators, TorqueRipple(waves=(wave,)))
         )
 
-    return _change_joints(scene, of)
+    return _change_joints(scene, change_joint)
 
 
-def as_it_is(scene: Scene, rng: np.random.Generator) -> Scene:
+def keep_scene(scene: Scene, rng: np.random.Generator) -> Scene:
     """Nothing more."""
     return scene
 
 
 # Change of a scene that adds an effect, and the accepted names of the effect.
 EFFECTS: dict[str, tuple[Callable[[Scene, np.random.Generator], Scene], tuple[str, ...]]] = {
-    "stribeck": (stribeck, (FALLS,)),
-    "hysteresis": (bristles, (TRAVEL, RISES)),
-    "ripple": (ripple, (RIPPLE,)),
-    "temperature": (as_it_is, (WARMS,)),
+    "stribeck": (add_stribeck, (FALLS,)),
+    "hysteresis": (add_bristles, (TRAVEL, RISES)),
+    "ripple": (add_ripple, (RIPPLE,)),
+    "temperature": (keep_scene, (WARMS,)),
 }
 RECORDS = [("three_axis", 0), ("three_axis", 1), ("ur5", 0), ("ur5", 1), ("kuka", 0)]
 
@@ -216,13 +216,13 @@ def identify_with_effect(
     )
     numbers = {name: value for name, value in values.items() if name in has}
 
-    def drift(share: float) -> Mapping[str, float]:
+    def scale_drift(share: float) -> Mapping[str, float]:
         return scale_friction(numbers, share) if effect == "temperature" else {}
 
-    run = make_record(real, seed, SECONDS, ANGLE_NOISE, TORQUE_NOISE, numbers, drift)
+    run = make_record(real, seed, SECONDS, ANGLE_NOISE, TORQUE_NOISE, numbers, scale_drift)
     run, motion, _ = filter_record(scene, run, LOW_PASS, as_is=True)
     model = make_model(scene, motion)
-    fit = fit_torques(model, motion, model.choose(["*"], "bench"))
+    fit = fit_torques(model, motion, model.choose_unknowns(["*"], "bench"))
     inside = [
         abs(number.value - values[number.name]) < SIGMAS * number.deviation
         for number in list_numbers(scene, fit) if number.name in values and number.deviation > 0.0
@@ -250,59 +250,59 @@ def spoil_record(run: MeasuredRun, scene: Scene, rng: np.random.Generator) -> di
     chosen = np.where(every == j, 1.0, 0.0)
     swing, ratio = run.tau.std(axis=0), np.abs(scene.gear_ratios)
 
-    def spoiled(**changes: Any) -> MeasuredRun:
+    def change_run(**changes: Any) -> MeasuredRun:
         return dataclasses.replace(run, **{"v_motor": None, "q_link": None, **changes})
 
-    def late(seconds: float, joints: Array) -> Array:
+    def shift_torques(seconds: float, joints: Array) -> Array:
         columns = [np.interp(run.t - seconds * s, run.t, column)
                    for s, column in zip(joints, run.tau.T, strict=True)]  # fmt: skip
         return np.column_stack(columns)
 
-    def swapped(rows: Array) -> Array:
+    def swap_columns(rows: Array) -> Array:
         order = every.copy()
         order[[i, j]] = j, i
         return rows[:, order]
 
-    def spiked(rows: Array, size: float) -> Array:
+    def add_spikes(rows: Array, size: float) -> Array:
         rows = rows.copy()
         at = rng.choice(np.arange(5, K - 5), 20, replace=False)
         rows[at, j] += size * rng.choice([-1.0, 1.0], 20) * rng.uniform(1.0, 3.0, 20)
         return rows
 
-    def size(low: float, high: float) -> float:
+    def draw_size(low: float, high: float) -> float:
         return float(rng.uniform(low, high))
 
-    up = rng.choice([size(1.9, 3.2), 1.0 / size(2.0, 3.0)])
+    up = rng.choice([draw_size(1.9, 3.2), 1.0 / draw_size(2.0, 3.0)])
     tau, q = run.tau, run.q_motor
-    zero = size(0.3, 1.0) * rng.choice([-1.0, 1.0])
+    zero = draw_size(0.3, 1.0) * rng.choice([-1.0, 1.0])
     return {
-        "torques scaled up": (spoiled(tau=size(1.9, 3.2) * tau), ("got torques ", "with torques ")),
-        "torques scaled down": (spoiled(tau=tau / size(2.0, 3.2)),
+        "torques scaled up": (change_run(tau=draw_size(1.9, 3.2) * tau), ("got torques ", "with torques ")),
+        "torques scaled down": (change_run(tau=tau / draw_size(2.0, 3.2)),
                                 ("got torques ", "with torques ")),
-        "one torque scaled up": (spoiled(tau=tau * (1.0 + chosen * size(1.0, 2.5))),
+        "one torque scaled up": (change_run(tau=tau * (1.0 + chosen * draw_size(1.0, 2.5))),
                                  (f"scale of the torques of {name}",)),
-        "one torque scaled": (spoiled(tau=tau * np.where(every == j, up, 1.0)),
+        "one torque scaled": (change_run(tau=tau * np.where(every == j, up, 1.0)),
                               (f"scale of the torques of {name}",)),
-        "one angle scaled": (spoiled(q_motor=q * (1.0 + chosen)),
+        "one angle scaled": (change_run(q_motor=q * (1.0 + chosen)),
                              (f"scale of the angles of {name}",)),
-        "time halved": (spoiled(t=0.5 * run.t), ("time base",)),
-        "time doubled": (spoiled(t=2.0 * run.t), ("time base",)),
-        "time in ms": (spoiled(t=1e3 * run.t), ("t must be in s",)),
-        "torques late": (spoiled(tau=late(size(0.015, 0.05), np.ones(N))), (" late",)),
-        "one torque late": (spoiled(tau=late(size(0.03, 0.06), chosen)), (" late",)),
-        "torque outliers": (spoiled(tau=spiked(tau, 3.0 * swing[j])), (f"{name}: 2", "outliers")),
-        "angle outliers": (spoiled(q_motor=spiked(q, 0.02)), (f"{name}: 2", "outliers")),
-        "angle zero": (spoiled(q_motor=q + np.where(every == k, zero, 0.0)),
+        "time halved": (change_run(t=0.5 * run.t), ("time base",)),
+        "time doubled": (change_run(t=2.0 * run.t), ("time base",)),
+        "time in ms": (change_run(t=1e3 * run.t), ("t must be in s",)),
+        "torques late": (change_run(tau=shift_torques(draw_size(0.015, 0.05), np.ones(N))), (" late",)),
+        "one torque late": (change_run(tau=shift_torques(draw_size(0.03, 0.06), chosen)), (" late",)),
+        "torque outliers": (change_run(tau=add_spikes(tau, 3.0 * swing[j])), (f"{name}: 2", "outliers")),
+        "angle outliers": (change_run(q_motor=add_spikes(q, 0.02)), (f"{name}: 2", "outliers")),
+        "angle zero": (change_run(q_motor=q + np.where(every == k, zero, 0.0)),
                        (f"zero of {middle}'s angle",)),
-        "torque zero": (spoiled(tau=tau + chosen * size(0.6, 1.5) * swing),
+        "torque zero": (change_run(tau=tau + chosen * draw_size(0.6, 1.5) * swing),
                         (f"zero of {name}'s torque", "offset")),
-        "degrees": (spoiled(q_motor=np.degrees(q)), ("deg, given as rad",)),
-        "N mm": (spoiled(tau=1e3 * tau), ("N mm", "1e+03 times")),
-        "at the links": (spoiled(tau=tau / ratio), ("at the links",)),
-        "torques swapped": (spoiled(tau=swapped(tau)), (f"torques of {name} and {second}",
+        "degrees": (change_run(q_motor=np.degrees(q)), ("deg, given as rad",)),
+        "N mm": (change_run(tau=1e3 * tau), ("N mm", "1e+03 times")),
+        "at the links": (change_run(tau=tau / ratio), ("at the links",)),
+        "torques swapped": (change_run(tau=swap_columns(tau)), (f"torques of {name} and {second}",
                                                        f"torques of {second} and {name}")),
-        "torque's sign": (spoiled(tau=tau * (1.0 - 2.0 * chosen)), (f"{name}'s torque",)),
-        "angle's sign": (spoiled(q_motor=q * (1.0 - 2.0 * chosen)), (f"{name}'s angle",)),
+        "torque's sign": (change_run(tau=tau * (1.0 - 2.0 * chosen)), (f"{name}'s torque",)),
+        "angle's sign": (change_run(q_motor=q * (1.0 - 2.0 * chosen)), (f"{name}'s angle",)),
     }  # fmt: skip
 
 
@@ -312,7 +312,7 @@ def answer_to(scene: Scene, run: MeasuredRun) -> tuple[str, bool]:
         check_samples(run)
         run, motion, warnings = filter_record(scene, run, LOW_PASS)
         model = make_model(scene, motion)
-        fit = fit_torques(model, motion, model.choose(["*"], "bench"))
+        fit = fit_torques(model, motion, model.choose_unknowns(["*"], "bench"))
         check_fit(run.where, run.joints, fit.explained)
     except Refusal as refusal:
         return str(refusal), True

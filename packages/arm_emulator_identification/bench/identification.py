@@ -136,7 +136,7 @@ def judge_numbers(scene: Scene, seed: int) -> np.ndarray:
     ratio = scene.gear_ratios
     data = filter_run(record, ratio, LOW_PASS)
     model = make_model(scene, data)
-    fitted = model.choose(["*"], "bench")
+    fitted = model.choose_unknowns(["*"], "bench")
     true = {unknown.name: unknown.value for unknown in model.unknowns}
     for joint in scene.chain.joints:
         true |= {f"links.{joint.link}.{name}": value for name, value in vary_child(joint).items()}
@@ -178,11 +178,13 @@ def predict_second_run(law: dict[str, float]) -> np.ndarray:
     model = make_model(scene, first)
     loads = np.array([unknown.name.endswith("load") for unknown in model.unknowns])
     model.widths = np.where(loads, WIDE_PRIOR, model.widths)
-    fit = fit_torques(model, first, model.choose(["*"], "bench"))
-    motion = model.of(second)
+    fit = fit_torques(model, first, model.choose_unknowns(["*"], "bench"))
+    motion = model.bind_motion(second)
     for _ in range(LOADED):
-        motion = motion.under(fit.values)
-    return compute_explained(second.tau, motion.torques(fit.values) - second.tau, second.moving)
+        motion = motion.update_loads(fit.values)
+    return compute_explained(
+        second.tau, motion.compute_torques(fit.values) - second.tau, second.moving
+    )
 
 
 def run_bench(quick: bool) -> dict[str, Any]:
@@ -201,12 +203,16 @@ def run_bench(quick: bool) -> dict[str, Any]:
             loops.append(judge_loops(seed))
             done(f"machine {seed}, loops of gears")
     shares = {name: float(predict_second_run(law).mean()) for name, law in FRICTIONS.items()}
-    beside = {"machines": machines, "loaded": _judge(loaded), "rigid": _judge(rigid)}
-    beside |= {"held_out": shares, "loops": _judge(loops)}
-    return {"seeds": seeds} | _judge(every) | beside
+    beside = {
+        "machines": machines,
+        "loaded": _judge_coverage(loaded),
+        "rigid": _judge_coverage(rigid),
+    }
+    beside |= {"held_out": shares, "loops": _judge_coverage(loops)}
+    return {"seeds": seeds} | _judge_coverage(every) | beside
 
 
-def _judge(every: list[np.ndarray]) -> dict[str, Any]:
+def _judge_coverage(every: list[np.ndarray]) -> dict[str, Any]:
     """Return the coverage of numbers that are off by so many deviations, a row per record."""
     together = np.concatenate(every)
     return {

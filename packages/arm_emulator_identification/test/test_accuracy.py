@@ -28,7 +28,7 @@ from arm_emulator_identification.calibration.pose_fit import (
     compare_poses,
     fit_poses,
 )
-from arm_emulator_identification.commands.accuracy import accuracy
+from arm_emulator_identification.commands.accuracy import compare_accuracy
 from oracles.random_chain import list_moving_joints, write_random_chain, write_random_tree
 
 CENTRE = 0.3, 0.1, 0.5  # m, amid the reach of the three-axis arm
@@ -256,7 +256,7 @@ def test_motion_control_takes_the_place_of_links_by_counts_and_wind_up(tmp_path:
     file = own_three_axis(tmp_path, "")
     scene, gains = load_scene(file), load_gains(file)
     arm = LedArm(scene, gains, dwell=0.5)
-    rest = arm.lead(arm.forward(scene.start + np.array([0.2, 0.1, -0.1])))
+    rest = arm.move_tool(arm.compute_pose(scene.start + np.array([0.2, 0.1, -0.1])))
     assert rest is not None
     assert rest.q == pytest.approx(arm.run.session.state.q, abs=2e-4)
 
@@ -267,7 +267,7 @@ def test_the_command_prints_its_measurements(
 ) -> None:
     file = own_three_axis(tmp_path, "")
     out = tmp_path / "found.yaml"
-    code = accuracy(str(file), cycles=2, centre=CENTRE, edge=0.1, dwell=0.2, draw=3, fit=12, held=3,
+    code = compare_accuracy(str(file), cycles=2, centre=CENTRE, edge=0.1, dwell=0.2, draw=3, fit=12, held=3,
                     positions=True, out=out)  # fmt: skip
     text = capsys.readouterr().out
     assert code == 0
@@ -284,7 +284,7 @@ def test_the_command_prints_its_measurements(
         tmp_path / "calibrated", "calibration: {joints: {elbow: {x: 1e-3}}}\n"
     )
     with pytest.raises(Refusal, match="--draw must stand with a scene without calibration"):
-        accuracy(str(calibrated), draw=1)
+        compare_accuracy(str(calibrated), draw=1)
     for keys, words in (
         ({"cycles": 1}, "--cycles must be a whole number"),
         ({"edge": 0.0}, "--edge must be a number > 0"),
@@ -293,4 +293,4 @@ def test_the_command_prints_its_measurements(
         ({"centre": (9.0, 0.0, 0.0), "cycles": 2}, "--centre must have a cube of 0.1 m about it"),
     ):
         with pytest.raises(Refusal, match=words):
-            accuracy(str(file), **keys)  # type: ignore[arg-type]
+            compare_accuracy(str(file), **keys)  # type: ignore[arg-type]

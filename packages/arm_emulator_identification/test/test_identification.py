@@ -11,7 +11,7 @@ from machines import make_link_urdf, write_scene
 from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.base.io.config_files import find_scene
 from arm_emulator_identification import inertia
-from arm_emulator_identification.commands.identify import identify
+from arm_emulator_identification.commands.identify import identify_scene
 from arm_emulator_identification.filtered import filter_run
 from arm_emulator_identification.found import list_numbers
 from arm_emulator_identification.identified import add_followers, write_fitted
@@ -163,7 +163,7 @@ def test_the_shipped_machine_is_near_the_identification_of_run_a(
     """From run A alone; free runs have moved the shipped one a little since."""
     late = [f"{name}={value}" for name, value in DELAYS.items()]
     out, start = tmp_path / "kuka_kr300.yaml", str(DATA / "given.yaml")
-    identify(
+    identify_scene(
         start, SHIPPED[0], hold="links.link_6.x,links.link_6.y", out=out, angles="deg", delay=late
     )
     assert "not identifiable" in capsys.readouterr().out
@@ -206,7 +206,7 @@ def fitted(folder: Path, scene: Scene, file: Path, seed: int) -> tuple[Scene, di
     }
     bodies = [
         inertia.make_body(row) if inertia.is_body(bare) else bare
-        for row, bare in zip(model.bodies(values), scene.bare, strict=True)
+        for row, bare in zip(model.compute_bodies(values), scene.bare, strict=True)
     ]
     out = folder / f"fitted_{seed}.yaml"
     write_fitted(out, file, scene, add_followers(scene, numbers), bodies, "found")
@@ -248,7 +248,7 @@ def test_a_rotor_without_inertia_in_the_record_is_left_as_it_was(tmp_path: Path)
     nominal = load_scene(files["known"])
     data = filter_run(record, np.array([0.05]), 10.0)
     model = TorqueModel(nominal, (data.tau.std(axis=0), np.abs(data.v).max(axis=0)), 0.5)
-    fit = fit_torques(model, data, model.choose(["motor"], "test"))
+    fit = fit_torques(model, data, model.choose_unknowns(["motor"], "test"))
     numbers = {number.name: number for number in list_numbers(nominal, fit)}
     number = numbers["joints.joint.motor.rotor_inertia"]
     assert number.value == 1e-3

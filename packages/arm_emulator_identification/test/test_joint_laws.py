@@ -11,7 +11,7 @@ from machines import make_link_urdf, write_scene
 
 from arm_emulator import load_scene
 from arm_emulator.extension.commands import output
-from arm_emulator_identification.commands.identify import identify
+from arm_emulator_identification.commands.identify import identify_scene
 from bench.identification import draw_loaded, judge_loops, judge_numbers
 from oracles.synthetic_record import make_record
 
@@ -46,7 +46,7 @@ def answer(
     np.savez(data, t=record.t, q_mot=record.q_motor, tau=record.tau, **more)
     capsys.readouterr()
     with output.print_at_end(as_json=True):
-        assert identify(str(file), data, fit="joints.*", out=file.parent / "out.yaml") == 0
+        assert identify_scene(str(file), data, fit="joints.*", out=file.parent / "out.yaml") == 0
     numbers = json.loads(capsys.readouterr().out)["numbers"]
     return {number["name"].removeprefix("joints.joint."): number for number in numbers}
 

@@ -105,28 +105,30 @@ def measure_accuracy(
     edge = float(np.abs(poses[1].p_WT - poses[3].p_WT)[0]) / 0.8
     stage("before")
 
-    def judge(calibration: Path | None) -> Accuracy:
+    def judge_arm(calibration: Path | None) -> Accuracy:
         attained = visit_cube(LedArm(scene, gains, test.dwell, calibration), poses, test.cycles)
         if not test.directions:
-            return Accuracy(attained.judge(), None)
+            return Accuracy(attained.judge_poses(), None)
         arm = LedArm(scene, gains, test.dwell, calibration)
-        return Accuracy(attained.judge(), visit_from_directions(arm, poses, edge, test.cycles))
+        return Accuracy(
+            attained.judge_poses(), visit_from_directions(arm, poses, edge, test.cycles)
+        )
 
-    before = judge(None)
+    before = judge_arm(None)
     if not test.poses:
         return edge, before, None, None
     stage("random poses")
-    calibrated = calibrate(scene, gains, test, file)
+    calibrated = calibrate_arm(scene, gains, test, file)
     stage("after")
-    return edge, before, calibrated, judge(calibrated.file)
+    return edge, before, calibrated, judge_arm(calibrated.file)
 
 
-def calibrate(scene: Scene, gains: Gains, test: AccuracyTest, file: Path) -> Calibrated:
+def calibrate_arm(scene: Scene, gains: Gains, test: AccuracyTest, file: Path) -> Calibrated:
     """Return the deviations that a tracker's poses show, written into a file."""
     rng = np.random.default_rng(test.seed)
     arm = LedArm(scene, gains, test.dwell)
     rests: list[ToolRest] = [
-        measure_pose(rest, test.tracker, _finite(test.tracker_angle), rng)
+        measure_pose(rest, test.tracker, _replace_nan(test.tracker_angle), rng)
         for rest in visit_at_random(arm, test.poses + test.held, rng)
     ]
     fitted, checked = rests[: test.poses], rests[test.poses :]
@@ -151,6 +153,6 @@ def write_calibration(file: Path, deviations: Mapping[str, Deviation]) -> None:
     write_atomically(file, "\n".join(lines) + "\n")
 
 
-def _finite(angle: float) -> float:
+def _replace_nan(angle: float) -> float:
     """Return the noise of turns; 0 where they are not measured."""
     return angle if np.isfinite(angle) else 0.0

@@ -53,12 +53,12 @@ def judge_pose(
     barycentre = positions.mean(axis=0)
     distances = np.linalg.norm(positions - barycentre, axis=1)
     rotations = Rotation.from_matrix(orientations @ R.T).as_rotvec()
-    deviation = _deviate(distances)
+    deviation = _compute_deviation(distances)
     return PoseCharacteristics(
         AP=float(np.linalg.norm(barycentre - p)),
         RP=float(distances.mean() + 3.0 * deviation),
-        AP_abc=_triple(rotations.mean(axis=0)),
-        RP_abc=_triple([3.0 * _deviate(column) for column in rotations.T]),
+        AP_abc=_convert_to_triple(rotations.mean(axis=0)),
+        RP_abc=_convert_to_triple([3.0 * _compute_deviation(column) for column in rotations.T]),
     )
 
 
@@ -72,10 +72,10 @@ def compute_direction_deviation(positions: list[Array]) -> float:
     return max(float(np.linalg.norm(a - b)) for a in centres for b in centres)
 
 
-def _deviate(values: Array) -> float:
+def _compute_deviation(values: Array) -> float:
     return float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
 
 
-def _triple(values: object) -> tuple[float, float, float]:
+def _convert_to_triple(values: object) -> tuple[float, float, float]:
     x, y, z = map(float, np.asarray(values))
     return x, y, z

@@ -51,14 +51,14 @@ class LedArm:
                            self.run.controller.kinematics.upper)
         )  # fmt: skip
 
-    def forward(self, q: Array) -> Pose:
+    def compute_pose(self, q: Array) -> Pose:
         """Return the pose of the tool by the controller's description."""
         kinematics = self.run.controller.kinematics
         names = self.run.session.scene.joint_names
         R, p = kinematics.forward(q[[names.index(name) for name in kinematics.joint_names]])
         return Pose(p, R)
 
-    def lead(self, pose: Pose) -> ToolRest | None:
+    def move_tool(self, pose: Pose) -> ToolRest | None:
         """Lead the tool to a pose and wait there; None: the controller does not reach it."""
         run = self.run
         run.instructor.add(run.session.logical_ns, pose)
@@ -81,7 +81,7 @@ class Attained:
     poses: tuple[Pose, ...]
     rests: tuple[list[ToolRest], ...]
 
-    def judge(self) -> list[iso_9283.PoseCharacteristics]:
+    def judge_poses(self) -> list[iso_9283.PoseCharacteristics]:
         """Return the characteristics of each pose."""
         return [
             iso_9283.judge_pose(
@@ -114,11 +114,11 @@ def find_cube(
     """
     for size in iso_9283.EDGES if edge is None else (edge,):
         arm = LedArm(scene, gains, dwell)
-        start = arm.forward(scene.start)
+        start = arm.compute_pose(scene.start)
         middle = start.p_WT if centre is None else np.array(centre)
         places = iso_9283.place_poses(middle, size)
         poses = tuple(Pose(p, start.R_WT) for p in places)
-        if all(arm.lead(pose) is not None for pose in (*poses, poses[0])):
+        if all(arm.move_tool(pose) is not None for pose in (*poses, poses[0])):
             return poses
     if edge is not None:
         rule = "leave five poses about the centre within the arm's reach"
@@ -134,7 +134,7 @@ def visit_cube(arm: LedArm, poses: tuple[Pose, ...], cycles: int) -> Attained:
     rests = tuple(list[ToolRest]() for _ in poses)
     for cycle in range(cycles + 1):
         for pose, rests_of_pose in zip(poses, rests, strict=True):
-            rest = _require(arm.lead(pose))
+            rest = _require_rest(arm.move_tool(pose))
             if cycle:
                 rests_of_pose.append(rest)
     return Attained(poses, rests)
@@ -150,8 +150,8 @@ def visit_from_directions(arm: LedArm, poses: tuple[Pose, ...], edge: float, cyc
             before = Pose(pose.p_WT + 0.2 * edge * inward * axis, pose.R_WT)
             reached = []
             for _ in range(cycles):
-                _require(arm.lead(before))
-                reached.append(_require(arm.lead(pose)).p)
+                _require_rest(arm.move_tool(before))
+                reached.append(_require_rest(arm.move_tool(pose)).p)
             rows.append(np.array(reached))
         largest = max(largest, iso_9283.compute_direction_deviation(rows))
     return largest
@@ -171,7 +171,7 @@ def visit_at_random(arm: LedArm, count: int, rng: np.random.Generator) -> Iterat
     while left and tries:
         tries -= 1
         q = rng.uniform(low + margin, high - margin)
-        rest = arm.lead(arm.forward(q))
+        rest = arm.move_tool(arm.compute_pose(q))
         if rest is not None:
             left -= 1
             yield rest
@@ -186,7 +186,7 @@ def measure_pose(rest: ToolRest, p: float, angle: float, rng: np.random.Generato
     return ToolRest(rest.q, turned, rest.p + rng.normal(0.0, p, 3))
 
 
-def _require(rest: ToolRest | None) -> ToolRest:
+def _require_rest(rest: ToolRest | None) -> ToolRest:
     if rest is None:
         rule = "be reached in each cycle as in the first"
         raise Refusal("accuracy", "pose of the cube", rule, "not reached")

@@ -65,7 +65,7 @@ class PoseModel:
         """Names of the numbers, in their order."""
         return [f"{joint.name}.{key}" for joint in self.displaced for key in NUMBERS]
 
-    def place(self, displacements: Sequence[Frame], q: Array) -> tuple[Array, Array, Array]:
+    def place_tool(self, displacements: Sequence[Frame], q: Array) -> tuple[Array, Array, Array]:
         """Return the tool's poses and their Jacobian.
 
         Args:
@@ -138,7 +138,7 @@ def fit_poses(model: PoseModel, rests: Sequence[ToolRest], sigma: tuple[float, f
     prior = np.tile(PRIOR, len(model.displaced))
     frames = [Frame() for _ in model.displaced]
     for _ in range(STEPS):
-        r, J = _weigh(model, frames, rests, q, weights)
+        r, J = _weigh_residuals(model, frames, rests, q, weights)
         x = np.concatenate([_make_twist(frame) for frame in frames])
         augmented = np.vstack([J * prior, np.eye(len(prior))])
         step = np.linalg.lstsq(augmented, np.concatenate([r, -x / prior]), rcond=None)[0]
@@ -146,7 +146,7 @@ def fit_poses(model: PoseModel, rests: Sequence[ToolRest], sigma: tuple[float, f
                  zip(frames, (step * prior).reshape(-1, 6), strict=True)]  # fmt: skip
         if np.abs(step).max() < SMALL:
             break
-    _, J = _weigh(model, frames, rests, q, weights)
+    _, J = _weigh_residuals(model, frames, rests, q, weights)
     rank, alike = _find_alike(J * prior, model.names)
     names = [joint.name for joint in model.displaced]
     return PoseFit(dict(zip(names, frames, strict=True)), len(prior), rank, alike)
@@ -161,7 +161,7 @@ def estimate_scale(
     """
     weights = np.repeat([1.0 / sigma[0], 1.0 / sigma[1]], 3)
     q = np.array([rest.q for rest in rests])
-    r, _ = _weigh(model, [*fit.displacements.values()], rests, q, weights)
+    r, _ = _weigh_residuals(model, [*fit.displacements.values()], rests, q, weights)
     free = len(rests) * int(np.count_nonzero(weights)) - fit.rank
     return max(1.0, float(np.sqrt(r @ r / max(1, free))))
 
@@ -171,17 +171,17 @@ def compare_poses(
 ) -> tuple[Array, Array]:
     """Return by how much poses of a model miss the measured ones: (K,) [m] and (K,) [rad]."""
     frames = [displacements.get(joint.name, Frame()) for joint in model.displaced]
-    R, p, _ = model.place(frames, np.array([rest.q for rest in rests]))
+    R, p, _ = model.place_tool(frames, np.array([rest.q for rest in rests]))
     off = np.array([rest.p for rest in rests]) - p
     rotations = Rotation.from_matrix(np.array([rest.R for rest in rests]) @ R.transpose(0, 2, 1))
     return np.linalg.norm(off, axis=1), rotations.magnitude()
 
 
-def _weigh(
+def _weigh_residuals(
     model: PoseModel, frames: Sequence[Frame], rests: Sequence[ToolRest], q: Array, weights: Array
 ) -> tuple[Array, Array]:
     """Return residuals and Jacobian in standard deviations."""
-    R, p, J = model.place(frames, q)
+    R, p, J = model.place_tool(frames, q)
     rotations = Rotation.from_matrix(np.array([rest.R for rest in rests]) @ R.transpose(0, 2, 1))
     off = np.hstack([np.array([rest.p for rest in rests]) - p, rotations.as_rotvec()]) * weights
     return off.ravel(), (J * weights[:, None]).reshape(-1, J.shape[2])

@@ -39,7 +39,7 @@ SEED = Number("seed", at_least=0, at_most=2**53, whole=True)
         "`calibration`"
     ),
 )
-def accuracy(
+def compare_accuracy(
     scene: SceneName,
     /,
     *,
@@ -88,7 +88,7 @@ def accuracy(
     file = find_scene(scene)
     machine, gains = load_scene(file), load_gains(file)
     if draw is not None:
-        machine = _draw(machine, file, int(SEED.rename("--draw").check_value("accuracy", draw)))
+        machine = _draw_deviations(machine, file, int(SEED.rename("--draw").check_value("accuracy", draw)))
     angle = math.inf if positions else tracker_angle
     test = AccuracyTest(cycles, centre, edge, dwell, directions, fit, held, tracker, angle, seed)
     with show_stages() as stage:
@@ -96,17 +96,17 @@ def accuracy(
     output.add_facts({"scene": machine.name, "edge": size, "cycles": cycles})
     console = output.make_console(110)
     console.print(f"{machine.name}: {cycles} cycles of 5 poses in a cube of {size:g} m")
-    _print("before the calibration" if calibrated else "as it is", "before", before)
+    _print_accuracy("before the calibration" if calibrated else "as it is", "before", before)
     if calibrated is None or after is None:
         return 0
     _print_fit(calibrated, fit, held)
-    _print("after the calibration", "after", after)
+    _print_accuracy("after the calibration", "after", after)
     console.print(f"calibration: {calibrated.file}")
     output.add_facts({"calibration": calibrated.file})
     return 0
 
 
-def _draw(scene: Scene, file: Path, seed: int) -> Scene:
+def _draw_deviations(scene: Scene, file: Path, seed: int) -> Scene:
     """Return the scene with deviations of the joints to its tool."""
     if scene.calibration.deviations:
         raise Refusal("accuracy", "--draw", "stand with a scene without calibration", scene.where)
@@ -117,7 +117,7 @@ def _draw(scene: Scene, file: Path, seed: int) -> Scene:
     return load_scene(file, {"calibration": {"joints": joints}})
 
 
-def _print(title: str, key: str, result: Accuracy) -> None:
+def _print_accuracy(title: str, key: str, result: Accuracy) -> None:
     heads = "pose", "AP [mm]", "RP [mm]", "AP, turn [mrad]", "RP, turn [mrad]"
     rows = (
         (f"P{k}", f"{1e3 * pose.AP:.4f}", f"{1e3 * pose.RP:.4f}",

@@ -41,7 +41,7 @@ LONGEST_DELAY = 0.1  # s
         "`picture`"
     ),
 )
-def identify(
+def identify_scene(
     scene: SceneName,
     data: Path,
     /,
@@ -85,13 +85,13 @@ def identify(
     late = _read_delays(delay or ())
     with show_stages() as stage:
         stage("read")
-        record = _record(data, nominal, angles, side).shift_back(late)
+        record = _read_record(data, nominal, angles, side).shift_back(late)
         request = FitRequest(patterns, hold_patterns, low_pass, trust, as_is)
         identified = identify_numbers(nominal, record, request, stage)
         stage("write")
         numbers = list_numbers(nominal, identified.fit)
         warnings = identified.doubts + list_warnings(nominal, identified.fit, numbers)
-        _write(out, file, nominal, identified.fit, numbers, warnings, data.name)
+        _write_result(out, file, nominal, identified.fit, numbers, warnings, data.name)
         # Gears wind up under the load of the fitted links.
         springs = [gear for gear in list_gears(nominal) if has_match(gear, patterns)]
         numbers += list_stiffness(load_scene(out), identified.run, springs, hold_patterns)
@@ -108,7 +108,7 @@ def identify(
             identified.fit.unknowns,
             lambda name: is_fitted(name) and name not in fitted_names,
         )
-        _write(out, file, nominal, identified.fit, numbers, warnings, data.name)
+        _write_result(out, file, nominal, identified.fit, numbers, warnings, data.name)
         picture = out.with_suffix(".png")
         title = f"{data.name}: torques at the links, below {low_pass:g} Hz"
         draw_torques(identified.motion, identified.torques, nominal.joint_names, picture, title)
@@ -132,7 +132,7 @@ def identify(
     return 0
 
 
-def _record(data: Path, nominal: Scene, angles: str, side: str) -> MeasuredRun:
+def _read_record(data: Path, nominal: Scene, angles: str, side: str) -> MeasuredRun:
     if not data.is_dir() and data.suffix not in (".mcap", ".db3"):
         return read_run(data, nominal, angles, side)
 
@@ -181,7 +181,7 @@ def _write_heading(identified: Identified, delays: dict[str, float], low_pass: f
     )
 
 
-def _write(out: Path, file: Path, scene: Scene, fit: TorqueFit, numbers: Sequence[Found],
+def _write_result(out: Path, file: Path, scene: Scene, fit: TorqueFit, numbers: Sequence[Found],
            warnings: Sequence[str], record: str) -> None:  # fmt: skip
     changed = [number for number in numbers if not np.isnan(number.deviation)]
     values = {number.name: number.value for number in changed if number.name.startswith("joints.")}

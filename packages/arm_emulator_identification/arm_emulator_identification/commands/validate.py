@@ -12,7 +12,7 @@ MACHINES = ("manutec_r3", "kuka_kr300")
 
 
 @command(keys="`machine`, `good`, `failures` or `runs`, `rows`, `order`, `pictures`")
-def validate(
+def validate_machine(
     machine: str,
     /,
     *runs: Path,

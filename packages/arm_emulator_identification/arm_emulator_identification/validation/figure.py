@@ -54,14 +54,14 @@ class Figure:
         finite = [(k, v) for k, v in enumerate(self.values) if np.isfinite(v)]
         for k, value in finite:
             if not self.least <= value <= self.most:
-                rule = self._rule(self.least, self.most)
+                rule = self._format_rule(self.least, self.most)
                 yield f"{self.title}: axis {k + 1} must be {rule}, got {value:{self.form}}"
         if finite and not self.min_mean <= self.mean <= self.max_mean:
-            rule = self._rule(self.min_mean, self.max_mean)
+            rule = self._format_rule(self.min_mean, self.max_mean)
             yield f"{self.title}: the mean must be {rule}, got {self.mean:{self.form}}"
 
     @staticmethod
-    def _rule(low: float, high: float) -> str:
+    def _format_rule(low: float, high: float) -> str:
         ends = ((f">= {low:g}", np.isfinite(low)), (f"<= {high:g}", np.isfinite(high)))
         return " and ".join(text for text, is_bounded in ends if is_bounded)
 
@@ -70,7 +70,10 @@ class Figure:
         """The limits as text."""
         if self.yardstick:
             return "null model"
-        each, mean = self._rule(self.least, self.most), self._rule(self.min_mean, self.max_mean)
+        each, mean = (
+            self._format_rule(self.least, self.most),
+            self._format_rule(self.min_mean, self.max_mean),
+        )
         return "; ".join(filter(None, (each, mean and f"mean {mean}")))
 
 

@@ -87,9 +87,9 @@ def predict() -> Prediction:
     """Return the null models and the encoder's wave, identified on run A."""
     scene = load_scene("kuka_kr300")
     run = load(SHIPPED[0], scene)
-    data = _filter(run, scene)
+    data = _filter_run(run, scene)
     of_gears = compute_wind_up(run, scene)
-    return Prediction(PerAxis.fitted(data), of_gears.order, of_gears.ripple)
+    return Prediction(PerAxis.fit_record(data), of_gears.order, of_gears.ripple)
 
 
 def load(path: Path, scene: Scene) -> MeasuredRun:
@@ -116,19 +116,19 @@ def compare(path: Path, scene: Scene | None = None) -> RunComparison:
     return RunComparison(run, data, torques, of_gears, paths, begins, figures)
 
 
-def _filter(run: MeasuredRun, scene: Scene, causal: bool = False) -> Filtered:
+def _filter_run(run: MeasuredRun, scene: Scene, causal: bool = False) -> Filtered:
     return filter_run(run, scene.gear_ratios, LOW_PASS, slowest=MOVES, every=1, causal=causal)
 
 
 def _compute_torques(scene: Scene, data: Filtered) -> Array:
     ones = np.ones(len(scene.joints))
     model = TorqueModel(scene, (ones, ones), 1.0)
-    return model.of(data).torques(model.start)
+    return model.bind_motion(data).compute_torques(model.start)
 
 
 def compute_torques(scene: Scene, run: MeasuredRun) -> tuple[Filtered, Array]:
     """Return a run low-passed, and the machine's torques for it (K, N) [N m]."""
-    data = _filter(run, scene)
+    data = _filter_run(run, scene)
     return data, _compute_torques(scene, data)
 
 
@@ -137,13 +137,13 @@ def list_torque_figures(
 ) -> Iterator[Figure]:
     """Yield the share of the measured torque that a machine explains, see `compute_torques`."""
     every = np.ones_like(data.moving)
-    null = predict().per_axis.torques(data)
+    null = predict().per_axis.compute_torques(data)
     alone = compute_explained(data.tau, null - data.tau, data.moving)
     yield Figure("torque explained in motion, %: each axis by itself", alone, ".1f", yardstick=True)
     shares = compute_explained(data.tau, torques - data.tau, data.moving)
     limit = max(MIN_EXPLAINED, float(alone.mean()))
     yield Figure("torque explained in motion, %", shares, ".1f", least=MIN_OF_AXIS, min_mean=limit)
-    causal = _filter(run, scene, causal=True)
+    causal = _filter_run(run, scene, causal=True)
     shares = compute_explained(
         causal.tau, _compute_torques(scene, causal) - causal.tau, causal.moving
     )
@@ -233,7 +233,7 @@ class PerAxis:
     coefficients: Array  # (N, 6)
 
     @classmethod
-    def fitted(cls, data: Filtered) -> PerAxis:
+    def fit_record(cls, data: Filtered) -> PerAxis:
         """Return the least-squares fit to a record, over its samples in motion."""
         rows = []
         for j in range(data.q.shape[1]):
@@ -241,7 +241,7 @@ class PerAxis:
             rows.append(np.linalg.lstsq(A[moving], data.tau[moving, j], rcond=None)[0])
         return cls(np.array(rows))
 
-    def torques(self, data: Filtered) -> Array:
+    def compute_torques(self, data: Filtered) -> Array:
         """Return the torques of a motion (K, N) [N m]."""
         axes = range(len(self.coefficients))
         return np.column_stack([_list_features(data, j) @ self.coefficients[j] for j in axes])
