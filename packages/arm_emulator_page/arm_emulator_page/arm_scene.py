@@ -57,7 +57,7 @@ class ArmScene:
         ]
         self._revolute = [(joint.idx_q, joint.nq == 2) for joint in joints]
         self._handles = [
-            self._added(k, shape) for k, shape in enumerate(self._shapes.geometryObjects)
+            self._add_mesh(k, shape) for k, shape in enumerate(self._shapes.geometryObjects)
         ]
         self._frame = server.scene.add_frame(f"{name}/tool", axes_length=0.1, axes_radius=0.003)
         self.show(scene.start)
@@ -66,7 +66,7 @@ class ArmScene:
 
     def show(self, q: Array) -> None:
         """Show the arm at positions (N,) [rad or m]."""
-        at = self._complete(q)
+        at = self._complete_configuration(q)
         pin.forwardKinematics(self._model, self._data, at)
         pin.updateGeometryPlacements(self._model, self._data, self._shapes, self._places)
         tool = pin.updateFramePlacement(self._model, self._data, self._tool)
@@ -86,7 +86,7 @@ class ArmScene:
         x, y, z, w = pin.Quaternion(self._data.oMf[self._tool].rotation).coeffs()
         return float(w), float(x), float(y), float(z)
 
-    def p_WL(self, link: str) -> Array:
+    def locate_link(self, link: str) -> Array:
         """Return the origin of a link (3,) [m] as it is shown."""
         frame = self._model.getFrameId(link, pin.FrameType.BODY)
         return np.array(pin.updateFramePlacement(self._model, self._data, frame).translation)
@@ -101,7 +101,7 @@ class ArmScene:
         """Return the tool's positions (K, 3) [m] at positions of the shafts (K, N)."""
         path = np.empty((len(q), 3))
         for k, row in enumerate(q):
-            pin.forwardKinematics(self._model, self._data, self._complete(row))
+            pin.forwardKinematics(self._model, self._data, self._complete_configuration(row))
             path[k] = pin.updateFramePlacement(self._model, self._data, self._tool).translation
         return path
 
@@ -116,7 +116,7 @@ class ArmScene:
                 f"{self._name}/way", moving, color, thickness=2.0, thickness_units="screen"
             )
 
-    def _complete(self, q: Array) -> Array:
+    def _complete_configuration(self, q: Array) -> Array:
         at = pin.neutral(self._model)
         for (place, revolute), angle in zip(
             self._revolute, self._shafts.convert_to_joints(q), strict=True
@@ -127,7 +127,7 @@ class ArmScene:
                 at[place] = angle
         return np.asarray(at)
 
-    def _added(self, number: int, shape: Any) -> Any:
+    def _add_mesh(self, number: int, shape: Any) -> Any:
         vertices, faces = _make_mesh(shape.geometry)
         color = (
             tuple(float(channel) for channel in shape.meshColor[:3])

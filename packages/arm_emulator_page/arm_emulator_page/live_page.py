@@ -91,8 +91,8 @@ class LivePage:
             self._numbers = gui.add_markdown("")
         with tabs.add_tab("Plot"):
             self._span = gui.add_dropdown("Span", tuple(SPANS), initial_value="10 s")
-            self._span.on_update(lambda _: self._plot())
-            self._plots = SignalPlot(gui, columns, self._plot)
+            self._span.on_update(lambda _: self._plot_history())
+            self._plots = SignalPlot(gui, columns, self._plot_history)
         if "aim" in can:
             with tabs.add_tab("Target"):
                 self._target = TargetTab(self, served.server, self.arm)
@@ -105,7 +105,7 @@ class LivePage:
         with tabs.add_tab("Events"):
             if "break_when" in can:
                 self._condition = gui.add_text("Stop when", "")
-                gui.add_button("Set the breakpoint").on_click(lambda _: self._break())
+                gui.add_button("Set the breakpoint").on_click(lambda _: self._set_breakpoint())
             self._list = EventList(gui, self.go)
         if self.arm.missing:
             gui.add_markdown(f"The arm's shapes are not shown. {escape_markdown(self.arm.missing)}")
@@ -126,7 +126,7 @@ class LivePage:
         with self.exclusive:
             self._dropped = dropped
             if len(rows):
-                self._history.add(rows)
+                self._history.add_rows(rows)
 
     def end(self, words: str) -> None:
         """Show that the machine has ended."""
@@ -145,7 +145,7 @@ class LivePage:
                 self.arm.show(self._history.newest["q"][0])
             if (fresh or self._plotted_rows < 0) and now - self._plotted_at >= PLOTTED:
                 self._plotted_rows, self._plotted_at = self._history.count, now
-                self._show()
+                self._show_moment()
 
     def _look_at_news(self) -> None:
         news = self.hands.news()
@@ -156,13 +156,13 @@ class LivePage:
         if news.events:
             self._events += news.events
             del self._events[:-1000]
-            self._list.show(self._events)
+            self._list.show_events(self._events)
 
-    def _show(self) -> None:
+    def _show_moment(self) -> None:
         """Show the moment that is looked at."""
         newest = self._history.newest
         last = int(newest["tick"][0])
-        row = newest if self._at is None else self._history.near(self._at)
+        row = newest if self._at is None else self._history.find_row(self._at)
         tick, scene = int(row["tick"][0]), self._scene
         self._changing = True
         try:
@@ -174,7 +174,9 @@ class LivePage:
         self._live_button.disabled = self._at is None
         words = [f"tick {tick}, {tick * scene.servo_period:.4f} s"]
         if self._at is None:
-            words += filter(None, (self._over or self._state, self._speed(float(newest["t"][0]))))
+            words += filter(
+                None, (self._over or self._state, self._format_speed(float(newest["t"][0])))
+            )
         else:
             words.append("**in the past**")
         if self._dropped:
@@ -191,10 +193,10 @@ class LivePage:
             counts=select_values(row, "measured.encoder_counts", scene)[0],
         )
         if self._at is None:
-            self._plot()
+            self._plot_history()
         self._moment.content = ", ".join(words)  # last: all of this moment is shown
 
-    def _speed(self, t: float) -> str:
+    def _format_speed(self, t: float) -> str:
         """Return how fast logical time passes, in words."""
         now = time.monotonic()
         since, before = self._mark
@@ -203,9 +205,11 @@ class LivePage:
             self._mark = now, t
         return f"{self._factor:.3g} times real time" if self._factor else ""
 
-    def _plot(self) -> None:
+    def _plot_history(self) -> None:
         with self.exclusive:
-            self._plots.show(self._history.since(SPANS[read_choice(self._span, SPANS)], SAMPLES))
+            self._plots.show_rows(
+                self._history.select_rows(SPANS[read_choice(self._span, SPANS)], SAMPLES)
+            )
 
     @property
     def plotted(self) -> tuple[Any, ...]:
@@ -221,32 +225,34 @@ class LivePage:
             if not len(newest):
                 return
             self._at = None if tick is None or tick >= newest["tick"][0] else int(tick)
-            self._show()
+            self._show_moment()
 
     def ask(self, what: str, *given: Any) -> str:
         """Do an action by its name, and show its answer; return "" if it was refused."""
         try:
             answer: str = self.hands.do_action(what, *given)
         except Refusal as reason:
-            self._refused(str(reason))
+            self._show_refusal(str(reason))
             return ""
         self.answer.content = escape_markdown(answer)
         return answer
 
-    def _refused(self, reason: str) -> None:
+    def _show_refusal(self, reason: str) -> None:
         with self.exclusive:
             newest = self._history.newest
             self._events.append(
                 (int(newest["tick"][0]) if len(newest) else 0, f"refused: {reason}")
             )
-            self._list.show(self._events)
+            self._list.show_events(self._events)
             self.answer.content = escape_markdown(reason)
 
     def _add_time_controls(self, gui: Any, can: frozenset[str]) -> None:
         if "pause" in can:
             self._pause_button = gui.add_button("Pause")
-            self._pause_button.on_click(lambda _: self._switch())
-            gui.add_command("Play or pause", hotkey="space").on_trigger(lambda _: self._switch())
+            self._pause_button.on_click(lambda _: self._switch_pause())
+            gui.add_command("Play or pause", hotkey="space").on_trigger(
+                lambda _: self._switch_pause()
+            )
         if "step" in can:
             steps = gui.add_button_group("Step", tuple(STEPS))
             steps.on_click(lambda event: self.ask("step", STEPS[event.target.value]))
@@ -259,14 +265,14 @@ class LivePage:
             rate = gui.add_dropdown("Times real time", tuple(RATES), initial_value=now)
             rate.on_update(lambda _: self.ask("rate", RATES[read_choice(rate, RATES)]))
 
-    def _switch(self) -> None:
+    def _switch_pause(self) -> None:
         pauses = self._pause_button.label == "Pause"
         if self.ask("pause", pauses):
             self._pause_button.label = "Play" if pauses else "Pause"
             if not pauses:
                 self.go(None)
 
-    def _break(self) -> None:
+    def _set_breakpoint(self) -> None:
         self.ask("break_when", self._condition.value)
 
 
@@ -292,14 +298,14 @@ class LiveHistory:
         self._every = 1  # of the rows of the whole run
         self.count = 0
 
-    def add(self, rows: ColumnRows) -> None:
+    def add_rows(self, rows: ColumnRows) -> None:
         """Add rows (K,) in the order of their ticks."""
         back = np.flatnonzero(np.diff(rows["tick"]) < 0)
         if len(back):
             rows = rows[back[-1] + 1 :]
-            self._forget()
+            self._forget_rows()
         elif len(rows) and len(self._newest) and rows["tick"][0] < self._newest["tick"][-1]:
-            self._forget()
+            self._forget_rows()
         picked = rows[-self.count % self._every :: self._every]
         self.count += len(rows)
         self._thinned = np.concatenate([self._thinned, picked])
@@ -307,7 +313,7 @@ class LiveHistory:
             self._thinned, self._every = self._thinned[::2].copy(), 2 * self._every
         self._newest = np.concatenate([self._newest, rows])[-NEWEST:].copy()
 
-    def _forget(self) -> None:
+    def _forget_rows(self) -> None:
         self._newest, self._thinned = self._newest[:0], self._thinned[:0]
         self._every, self.count = 1, 0
 
@@ -316,7 +322,7 @@ class LiveHistory:
         """The newest row (1,), or none (0,)."""
         return self._newest[-1:]
 
-    def near(self, tick: int) -> ColumnRows:
+    def find_row(self, tick: int) -> ColumnRows:
         """Return the row (1,) that is nearest to a tick, or none (0,)."""
         first = self._newest["tick"][:1]
         rows = self._newest if len(first) and tick >= first[0] else self._thinned
@@ -325,7 +331,7 @@ class LiveHistory:
         place = int(np.argmin(np.abs(rows["tick"] - tick)))
         return rows[place : place + 1]
 
-    def since(self, seconds: float, max_rows: int) -> ColumnRows:
+    def select_rows(self, seconds: float, max_rows: int) -> ColumnRows:
         """Return at most so many rows of the last seconds; infinity: of the whole run."""
         if not len(self._newest):
             return self._newest

@@ -55,11 +55,11 @@ def _add_gains(page: Any, gui: Any) -> None:
         box = gui.add_number("Value", 0.0, step=0.1)
         gains: dict[str, float] = {}
 
-        def show() -> None:
+        def show_gain() -> None:
             if choice.value in gains:
                 box.value = gains[choice.value]
 
-        def fill() -> None:
+        def fill_gains() -> None:
             try:
                 gains.update(page.hands.do_action("gains"))
             except Refusal as reason:
@@ -70,13 +70,13 @@ def _add_gains(page: Any, gui: Any) -> None:
                 box.value = gains[names[0]]
                 choice.options, choice.value = names, names[0]
 
-        def put() -> None:
+        def put_gain() -> None:
             if choice.value in gains and page.ask("set_gain", choice.value, float(box.value)):
                 gains[choice.value] = float(box.value)
 
-        read.on_click(lambda _: fill())
-        choice.on_update(lambda event: show() if event.client is not None else None)
-        box.on_update(lambda event: put() if event.client is not None else None)
+        read.on_click(lambda _: fill_gains())
+        choice.on_update(lambda event: show_gain() if event.client is not None else None)
+        box.on_update(lambda event: put_gain() if event.client is not None else None)
 
 
 SIZE = 0.25  # m, of the handle
@@ -95,38 +95,38 @@ class TargetTab:
         gui, self._page, self._server, self._arm = server.gui, page, server, arm
         at = tuple(float(number) for number in arm.p_WT)
         self._place = gui.add_vector3("Position [m], world axes", at, step=0.01)
-        gui.add_button("Copy the tool's pose").on_click(lambda _: self._take())
+        gui.add_button("Copy the tool's pose").on_click(lambda _: self._take_pose())
         self._drags = gui.add_checkbox("Drag a handle in the picture", False)
-        self._drags.on_update(lambda _: self._switch())
-        gui.add_button("Send the tool there").on_click(lambda _: self._send())
+        self._drags.on_update(lambda _: self._switch_handle())
+        gui.add_button("Send the tool there").on_click(lambda _: self._send_target())
         self._handle: Any = None
         self._wxyz: tuple[float, ...] | None = None  # that was taken or dragged to
 
-    def _take(self) -> None:
+    def _take_pose(self) -> None:
         with self._page.exclusive:
             self._place.value = tuple(float(number) for number in self._arm.p_WT)
             self._wxyz = self._arm.wxyz_WT
             if self._handle is not None:
                 self._handle.position, self._handle.wxyz = self._place.value, self._wxyz
 
-    def _switch(self) -> None:
+    def _switch_handle(self) -> None:
         with self._page.exclusive:
             if not self._drags.value:
                 if self._handle is not None:
                     self._handle.remove()
                 self._handle = None
                 return
-            self._take()
+            self._take_pose()
             self._handle = self._server.scene.add_transform_controls(
                 "/target", SIZE, position=self._place.value, wxyz=self._wxyz, depth_test=False
             )
-            self._handle.on_update(lambda _: self._dragged())
+            self._handle.on_update(lambda _: self._handle_drag())
 
-    def _dragged(self) -> None:
+    def _handle_drag(self) -> None:
         self._place.value = tuple(float(number) for number in self._handle.position)
         self._wxyz = tuple(float(number) for number in self._handle.wxyz)
 
-    def _send(self) -> None:
+    def _send_target(self) -> None:
         if self._wxyz is None:
             self._wxyz = self._arm.wxyz_WT
         place = tuple(float(number) for number in self._place.value)

@@ -65,24 +65,24 @@ class EventList:
         self._buttons: list[tuple[Event, Any]] = []
         self._order = 0.0
 
-    def show(self, events: Sequence[Event]) -> None:
+    def show_events(self, events: Sequence[Event]) -> None:
         """Show other events: those that are listed already stay, and newer ones come above them."""
         listed = [event for event, _ in self._buttons]
         newest = list(events[-MAX_BUTTONS:])
         removed = range(len(listed) + 1)  # of those that are listed, the oldest
-        self._drop(next(k for k in removed if listed[k:] == newest[: len(listed) - k]))
+        self._drop_events(next(k for k in removed if listed[k:] == newest[: len(listed) - k]))
         for event in newest[len(self._buttons) :]:
-            self._add(event)
+            self._add_event(event)
         left = len(events) - len(newest)
         text = f"{left} older events are not listed." if left else ""
         self._more.content = text or ("" if events else "No event yet.")
 
-    def _drop(self, count: int) -> None:
+    def _drop_events(self, count: int) -> None:
         for _, button in self._buttons[:count]:
             button.remove()
         del self._buttons[:count]
 
-    def _add(self, event: Event) -> None:
+    def _add_event(self, event: Event) -> None:
         tick, text = event
         self._order -= 1.0
         with self._folder:

@@ -123,7 +123,7 @@ class Guard:
     def __init__(self, token: str, address: PageAddress = HERE) -> None:
         self._token, self._address = token, address
 
-    def judge(self, path: str, headers: Any) -> RequestVerdict:
+    def judge_request(self, path: str, headers: Any) -> RequestVerdict:
         """Return the decision on a request.
 
         Args:
@@ -168,7 +168,7 @@ def _put_title(response: Any) -> None:
 def guard_server(guard: Guard) -> AbstractContextManager[None]:
     """Let the server that is started in this block ask a guard about every request."""
 
-    def respond(status: HTTPStatus, kind: str, text: str) -> Any:
+    def make_response(status: HTTPStatus, kind: str, text: str) -> Any:
         from websockets.datastructures import Headers
         from websockets.http11 import Response
 
@@ -176,25 +176,29 @@ def guard_server(guard: Guard) -> AbstractContextManager[None]:
         lines = {"Content-Type": f"text/{kind}", "Content-Length": str(len(body))}
         return Response(status.value, status.phrase, Headers(lines), body)
 
-    def answer(connection: Any, request: Any, process_request: Callable[[Any, Any], Any]) -> Any:
-        verdict = guard.judge(request.path, request.headers)
+    def answer_request(
+        connection: Any, request: Any, process_request: Callable[[Any, Any], Any]
+    ) -> Any:
+        verdict = guard.judge_request(request.path, request.headers)
         if verdict.status is not HTTPStatus.OK:
-            return respond(verdict.status, "plain", f"arm_emulator: {verdict.text}\n")
+            return make_response(verdict.status, "plain", f"arm_emulator: {verdict.text}\n")
         if is_landing_page(verdict.path) and "Upgrade" not in request.headers:
-            return respond(HTTPStatus.OK, "html", TEXT)
+            return make_response(HTTPStatus.OK, "html", TEXT)
         below = dataclasses.replace(request, path=verdict.path)
         try:
             response = process_request(connection, below)
         except OSError:  # a folder, or a name that no file can have
-            return respond(HTTPStatus.NOT_FOUND, "plain", "arm_emulator: no such file\n")
+            return make_response(HTTPStatus.NOT_FOUND, "plain", "arm_emulator: no such file\n")
         except (ValueError, LookupError):
-            return respond(HTTPStatus.BAD_REQUEST, "plain", "arm_emulator: malformed request\n")
+            return make_response(
+                HTTPStatus.BAD_REQUEST, "plain", "arm_emulator: malformed request\n"
+            )
         if response is not None:
             response.headers["Referrer-Policy"] = "no-referrer"  # the path has the token
             _put_title(response)
         return response
 
-    return answer_requests(answer)
+    return answer_requests(answer_request)
 
 
 LOOK = "look"  # in the query: the browser has been here

@@ -13,7 +13,7 @@ from arm_emulator_page.arm_scene import ArmScene
 from arm_emulator_page.number_table import EventList, format_machine, format_numbers
 from arm_emulator_page.page_server import PageServer
 from arm_emulator_page.run_view import RunView
-from arm_emulator_page.signal_plot import FIRST, HEIGHT, SCALES, read_choice, style_lines
+from arm_emulator_page.signal_plot import FIRST, HEIGHT, SCALES, make_line_styles, read_choice
 
 FRAME = 1.0 / 30.0  # s, wall time between two pictures while it plays
 RATES = ("0.01", "0.1", "0.25", "1", "4")
@@ -66,14 +66,14 @@ class RunPage:
         self.url = self._served.url
         self.arm = ArmScene(server, scene)
         self._served.look_from(self.arm.size)
-        self.arm.show_path(run_view.history.values("q"))
+        self.arm.show_path(run_view.history.read_values("q"))
         self.gui: Any = server.gui
-        self._build(server, scene.name)
+        self._build_controls(server, scene.name)
         if self.arm.missing:
             missing = escape_markdown(self.arm.missing)
             server.gui.add_markdown(f"The arm's shapes are not shown. {missing}")
-        self.lay_over(over)
-        self._thread = threading.Thread(target=self._play, name="page", daemon=True)
+        self.show_second_run(over)
+        self._thread = threading.Thread(target=self._play_ticks, name="page", daemon=True)
         self._thread.start()
 
     @property
@@ -106,18 +106,18 @@ class RunPage:
         with self.exclusive:
             self._view = run_view
             run_view.line.go_to(tick)
-            self.arm.show_path(run_view.history.values("q"))
-            self._list.show(run_view.events)
+            self.arm.show_path(run_view.history.read_values("q"))
+            self._list.show_events(run_view.events)
             self.changing = True
             try:
                 self._slider.max = max(1, run_view.last)
             finally:
                 self.changing = False
             self._choose_plots()
-            self._plot()
-            self._show()
+            self._plot_series()
+            self._show_moment()
 
-    def lay_over(self, view: RunView | None) -> None:
+    def show_second_run(self, view: RunView | None) -> None:
         """Show a second run over this one, at the same ticks, or none any more.
 
         Raises:
@@ -133,10 +133,10 @@ class RunPage:
             if view is not None:
                 scene = view.line.run.session.scene
                 self._arm_over = ArmScene(self.server, scene, "/over", over=True)
-                self._arm_over.show_path(view.history.values("q"))
+                self._arm_over.show_path(view.history.read_values("q"))
             self._choose_plots()
-            self._plot()
-            self._show()
+            self._plot_series()
+            self._show_moment()
 
     def _choose_plots(self) -> None:
         """Offer the quantities that all shown runs have."""
@@ -144,12 +144,14 @@ class RunPage:
         groups = tuple(here.groups)
         if self._over is not None:
             there = self._over.history
-            groups = tuple(group for group in groups if here.paths(group) == there.paths(group))
-        self.put(self._group, groups, now if now in groups else None)
+            groups = tuple(
+                group for group in groups if here.list_paths(group) == there.list_paths(group)
+            )
+        self.put_options(self._group, groups, now if now in groups else None)
         plots = (THIS,) if self._over is None else (THIS, SECOND, DIFFERENCE)
-        self.put(self._of, plots, self._of.value if self._of.value in plots else None)
+        self.put_options(self._of, plots, self._of.value if self._of.value in plots else None)
 
-    def put(self, control: Any, options: tuple[str, ...], value: str | None) -> None:
+    def put_options(self, control: Any, options: tuple[str, ...], value: str | None) -> None:
         """Give a dropdown other options, and a value, without any action."""
         self.changing = True
         try:
@@ -166,17 +168,19 @@ class RunPage:
 
     # Controls
 
-    def _build(self, server: Any, name: str) -> None:
+    def _build_controls(self, server: Any, name: str) -> None:
         gui, period = server.gui, self._session.scene.servo_period
         gui.add_markdown(f"**{escape_markdown(name)}**, {self.last * period:g} s")
         self._moment = gui.add_markdown("")
         self._slider = gui.add_slider("Tick", 0, max(1, self.last), 1, 0)
-        self._slider.on_update(lambda _: None if self.changing else self._go(self._slider.value))
+        self._slider.on_update(
+            lambda _: None if self.changing else self._go_to_tick(self._slider.value)
+        )
         self._play_button = gui.add_button("Play")
-        self._play_button.on_click(lambda _: self._switch())
+        self._play_button.on_click(lambda _: self._switch_playing())
         self._rate = gui.add_dropdown("Speed", RATES, initial_value="1")
         steps = gui.add_button_group("Step", ("to start", "-1", "+1", "to end"))
-        steps.on_click(lambda event: self._step(event.target.value))
+        steps.on_click(lambda event: self._step_ticks(event.target.value))
         for label, key, step in (
             ("Play or pause", "space", None),
             ("One tick back", "arrowleft", "-1"),
@@ -185,48 +189,50 @@ class RunPage:
             ("To the end", "end", "to end"),
         ):
             command = gui.add_command(label, hotkey=key)
-            command.on_trigger(lambda _, step=step: self._step(step) if step else self._switch())
+            command.on_trigger(
+                lambda _, step=step: self._step_ticks(step) if step else self._switch_playing()
+            )
         self._tabs = tabs = gui.add_tab_group()
         with tabs.add_tab("Now"):
             self._numbers = gui.add_markdown("")
         with tabs.add_tab("Plot"):
             groups = tuple(self._view.history.groups)
             self._group = gui.add_dropdown("Signal", groups, initial_value=FIRST)
-            self._group.on_update(lambda _: None if self.changing else self._plot())
+            self._group.on_update(lambda _: None if self.changing else self._plot_series())
             self._of = gui.add_dropdown("Of", (THIS,))
-            self._of.on_update(lambda _: None if self.changing else self._plot())
-            self._chart = gui.add_uplot(*self._series(FIRST), scales=SCALES, height=HEIGHT)
+            self._of.on_update(lambda _: None if self.changing else self._plot_series())
+            self._chart = gui.add_uplot(*self._make_series(FIRST), scales=SCALES, height=HEIGHT)
         with tabs.add_tab("Events"):
             self._condition = gui.add_text("Condition", "")
             find = gui.add_button("Find the next")
-            find.on_click(lambda _: self._find())
+            find.on_click(lambda _: self._find_condition())
             self._found = gui.add_markdown("")
-            self._list = EventList(gui, self._go)
-            self._list.show(self._view.events)
+            self._list = EventList(gui, self._go_to_tick)
+            self._list.show_events(self._view.events)
         with tabs.add_tab("Torques"):
             ask = gui.add_button("Explain this moment")
             ask.on_click(lambda _: self._show_terms())
             self._terms = gui.add_markdown("")
 
-    def _switch(self) -> None:
+    def _switch_playing(self) -> None:
         with self.exclusive:
             if not self._playing and self.line.tick >= self.last:
                 self.line.go_to(0)
             self._playing = not self._playing
             self._play_button.label = "Pause" if self._playing else "Play"
 
-    def _step(self, step: str) -> None:
+    def _step_ticks(self, step: str) -> None:
         with self.exclusive:
             now = self.line.tick
             to = {"to start": 0, "-1": now - 1, "+1": now + 1, "to end": self.last}[step]
-            self._go(to)
+            self._go_to_tick(to)
 
-    def _go(self, tick: int) -> None:
+    def _go_to_tick(self, tick: int) -> None:
         with self.exclusive:
             self.line.go_to(max(0, min(int(tick), self.last)))
-            self._show()
+            self._show_moment()
 
-    def _find(self) -> None:
+    def _find_condition(self) -> None:
         with self.exclusive:
             scene = self._session.scene
             try:
@@ -240,7 +246,7 @@ class RunPage:
                 self.line.go_to(before)
                 self._found.content = "does not hold from here to the end"
                 return
-            self._show()
+            self._show_moment()
             self._found.content = f"holds at tick {tick}, {tick * scene.servo_period:g} s"
 
     def _show_terms(self) -> None:
@@ -257,7 +263,7 @@ class RunPage:
 
     # Pictures
 
-    def _play(self) -> None:
+    def _play_ticks(self) -> None:
         """Move on while it plays."""
         at = 0.0
         while not self._closing.wait(FRAME):
@@ -272,11 +278,11 @@ class RunPage:
                 tick = min(int(at), self.last)
                 if tick != self.line.tick:
                     self.line.go_to(tick)
-                    self._show()
+                    self._show_moment()
                 if tick >= self.last:
-                    self._switch()
+                    self._switch_playing()
 
-    def _show(self) -> None:
+    def _show_moment(self) -> None:
         """Show the moment at which the run is."""
         tick, apart = self.line.tick, ""
         if self._over is not None and self._arm_over is not None:
@@ -310,19 +316,19 @@ class RunPage:
             f"tick {tick}, {tick * session.scene.servo_period:.4f} s{apart}{power}"
         )
 
-    def _series(self, group: str) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    def _make_series(self, group: str) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
         history = self._view.history
-        ticks, values = history.ticks, history.values(group)
+        ticks, values = history.ticks, history.read_values(group)
         if self._over is not None and self._of.value == SECOND:
-            ticks, values = self._over.history.ticks, self._over.history.values(group)
+            ticks, values = self._over.history.ticks, self._over.history.read_values(group)
         elif self._over is not None and self._of.value == DIFFERENCE:
-            ticks, values = history.minus(self._over.history, group)
+            ticks, values = history.subtract_history(self._over.history, group)
         t = ticks * self._session.scene.servo_period
-        return (t, *values.T), style_lines(history.groups[group])
+        return (t, *values.T), make_line_styles(history.groups[group])
 
-    def _plot(self) -> None:
+    def _plot_series(self) -> None:
         with self.exclusive:
-            self._chart.data, self._chart.series = self._series(
+            self._chart.data, self._chart.series = self._make_series(
                 read_choice(self._group, self._view.history.groups)
             )
 

@@ -30,7 +30,7 @@ class RunView:
     events: tuple[tuple[int, str], ...]
 
     @classmethod
-    def of(
+    def create_from_line(
         cls, line: Timeline[Any], last: int, events: tuple[tuple[int, str], ...] | None = None
     ) -> RunView:
         """Return a run from its first tick on; its events are its changes if none are given."""
@@ -73,18 +73,20 @@ class SignalHistory:
         self._rows = np.concatenate(rows)
         self.groups = group_columns(list_columns(line.run.session.scene))
 
-    def values(self, group: str) -> NDArray[np.float64]:
+    def read_values(self, group: str) -> NDArray[np.float64]:
         """Return a quantity at all samples (K, columns)."""
         columns = [
             column.select_values(self._rows).astype(np.float64) for column in self.groups[group]
         ]
         return np.stack(columns, axis=1)
 
-    def paths(self, group: str) -> list[tuple[str, ...]]:
+    def list_paths(self, group: str) -> list[tuple[str, ...]]:
         """Return the names of a quantity's columns; empty: the run has no such quantity."""
         return [tuple(column.path) for column in self.groups.get(group, ())]
 
-    def minus(self, another: SignalHistory, group: str) -> tuple[NDArray[Any], NDArray[np.float64]]:
+    def subtract_history(
+        self, another: SignalHistory, group: str
+    ) -> tuple[NDArray[Any], NDArray[np.float64]]:
         """Return ticks that both have (K,), and the quantity there minus that of the other."""
         ticks, here, there = np.intersect1d(self.ticks, another.ticks, return_indices=True)
-        return ticks, self.values(group)[here] - another.values(group)[there]
+        return ticks, self.read_values(group)[here] - another.read_values(group)[there]

@@ -22,10 +22,10 @@ def serve_run(line: Timeline[OfflineRun], at: str) -> None:
     session = line.run.session
     terms = TorqueTerms(session.scene)
 
-    def explained() -> tuple[TermsNow, list[str]]:
+    def explain_tick() -> tuple[TermsNow, list[str]]:
         return terms.evaluate_torques(session.plant.save(), session.measured.applied), []
 
-    page = RunPage(RunView.of(line, line.newest), explained, at)
+    page = RunPage(RunView.create_from_line(line, line.newest), explain_tick, at)
     try:
         from arm_emulator.extension.bags import write_timeline
     except (ModuleNotFoundError, Refusal):  # without ROS 2

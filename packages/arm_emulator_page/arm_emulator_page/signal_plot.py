@@ -23,7 +23,7 @@ def group_columns(columns: Sequence[Column]) -> dict[str, list[Column]]:
     return groups
 
 
-def style_lines(columns: Sequence[Column]) -> tuple[Any, ...]:
+def make_line_styles(columns: Sequence[Column]) -> tuple[Any, ...]:
     """Return how the columns of a quantity are drawn over time."""
     lines: list[dict[str, Any]] = [{"label": "t [s]"}]
     lines += [
@@ -47,7 +47,7 @@ class SignalPlot:
         self._choice = gui.add_dropdown("Signal", tuple(self._groups), initial_value=FIRST)
         self._choice.on_update(lambda _: changed())
         self._plotted = FIRST
-        lines = style_lines(self._groups[FIRST])
+        lines = make_line_styles(self._groups[FIRST])
         empty = tuple(np.zeros(0) for _ in lines)
         self._chart = gui.add_uplot(empty, lines, scales=SCALES, height=HEIGHT)
 
@@ -57,7 +57,7 @@ class SignalPlot:
         data: tuple[Any, ...] = self._chart.data
         return data
 
-    def show(self, rows: ColumnRows) -> None:
+    def show_rows(self, rows: ColumnRows) -> None:
         """Plot the chosen quantity of rows (K,)."""
         group = read_choice(self._choice, self._groups)
         columns = self._groups[group]
@@ -67,7 +67,7 @@ class SignalPlot:
             self._chart.data = data
             return
         self._plotted = group
-        self._chart.data, self._chart.series = data, style_lines(columns)
+        self._chart.data, self._chart.series = data, make_line_styles(columns)
 
 
 def read_choice(control: Any, values: Collection[str]) -> str:

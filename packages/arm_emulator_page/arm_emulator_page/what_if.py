@@ -44,13 +44,13 @@ class WhatIf:
         self._pushes: dict[str, Push] = {}  # by link, to be set
         with page.add_tab("Push"):
             scene = run.session.scene
-            PushTab(page.exclusive, self._push, page.server, page.arm, scene)
+            PushTab(page.exclusive, self._push_link, page.server, page.arm, scene)
             self._pushed = gui.add_markdown("")
         with page.add_tab("What if"):
             self._which = gui.add_dropdown("Timeline", tuple(self._lines))
             self._which.on_update(lambda _: self._turn_to(self._which.value))
             self._over = gui.add_dropdown("Laid over it", (NOTHING, *self._lines))
-            self._over.on_update(lambda _: self._lay_over(self._over.value))
+            self._over.on_update(lambda _: self._show_fork(self._over.value))
             self._by = gui.add_vector3("Move the tool by [m]", NO_VECTOR, step=0.01)
             self._power = gui.add_checkbox("Power", run.session.powered)
             self._gains = gui.add_number("Position gains times", 1.0, min=0.0, step=0.1)
@@ -66,7 +66,7 @@ class WhatIf:
                 self._folder = gui.add_text("New folder for bags", "futures")
                 gui.add_button("Keep all as bags").on_click(lambda _: self._keep_all())
 
-    def _push(self, link: str, force: Vector, moment: Vector) -> None:
+    def _push_link(self, link: str, force: Vector, moment: Vector) -> None:
         """Let a wrench act from the moment on at which the run goes on."""
         self._pushes[link] = order = Push(link, force, moment)
         self._pushed.content = f"When it goes on (tab *What if*): {escape_markdown(order.name)}"
@@ -94,17 +94,17 @@ class WhatIf:
         with self._page.exclusive:
             if not self._page.changing:
                 line = self._lines[name]
-                self._page.turn_to(RunView.of(line, line.newest), line.tick)
+                self._page.turn_to(RunView.create_from_line(line, line.newest), line.tick)
 
-    def _lay_over(self, name: str) -> None:
+    def _show_fork(self, name: str) -> None:
         with self._page.exclusive:
             if self._page.changing:
                 return
             line = self._lines.get(name)
             at = self._page.line.tick
-            over = None if line is None else RunView.of(line, line.newest)
+            over = None if line is None else RunView.create_from_line(line, line.newest)
             self._page.line.go_to(at)  # forks take turns in one machine
-            self._page.lay_over(over)
+            self._page.show_second_run(over)
 
     def _go_on(self) -> None:
         with self._page.exclusive:
@@ -120,7 +120,7 @@ class WhatIf:
                 line = line.fork()
                 name = f"fork {len(self._lines)}, from {begin * period:g} s of {name}"
             try:
-                done = self._change(line)
+                done = self._change_run(line)
                 line.advance(round(seconds / period))
                 answer = escape_markdown(f"{name}: {done or 'as it was'}")
             except (Refusal, Diverged) as reason:
@@ -129,12 +129,12 @@ class WhatIf:
                 line = self._page.line
             elif forked:
                 self._lines[name] = line
-                self._page.put(self._which, tuple(self._lines), name)
-                self._page.put(self._over, (NOTHING, *self._lines), self._over.value)
-            self._page.turn_to(RunView.of(line, line.newest), begin)
+                self._page.put_options(self._which, tuple(self._lines), name)
+                self._page.put_options(self._over, (NOTHING, *self._lines), self._over.value)
+            self._page.turn_to(RunView.create_from_line(line, line.newest), begin)
             self._answer.content = answer
 
-    def _change(self, line: Timeline[OfflineRun]) -> str:
+    def _change_run(self, line: Timeline[OfflineRun]) -> str:
         """Make the changes that the controls ask for, and return their names.
 
         Raises:

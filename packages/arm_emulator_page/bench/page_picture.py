@@ -37,7 +37,7 @@ DRAG = "xpath=//*[text()='Drag a handle in the picture']/following::input[1]"
 
 
 @contextmanager
-def _in_chromium(url: str, size: Any) -> Iterator[Any]:
+def _open_chromium(url: str, size: Any) -> Iterator[Any]:
     """Open a page in Chromium without a window, of a size, in this block.
 
     Raises:
@@ -66,7 +66,7 @@ def send_target(run: OfflineRun, offset: Array) -> None:
     run.instructor.add(run.session.logical_ns, Pose(p_WT + offset, R_WT))
 
 
-def look(folder: Path) -> Path:
+def draw_run_page(folder: Path) -> Path:
     """Draw the page of a run of ur5 into a folder, and return the picture's path.
 
     Raises:
@@ -77,10 +77,10 @@ def look(folder: Path) -> Path:
     line.change("target", partial(send_target, offset=np.array([-0.1, 0.35, 0.15])))
     line.advance(LAST - line.tick)
     line.go_to(AT)
-    page = RunPage(RunView.of(line, LAST), lambda: (TermsNow({}, {}), []))
+    page = RunPage(RunView.create_from_line(line, LAST), lambda: (TermsNow({}, {}), []))
     file = folder / "look.png"
     try:
-        with _in_chromium(page.url, LOOK) as browser_page:
+        with _open_chromium(page.url, LOOK) as browser_page:
             browser_page.get_by_role("tab", name="Plot").click()
             browser_page.locator(".uplot canvas").first.wait_for()
             browser_page.screenshot(path=file)
@@ -89,7 +89,7 @@ def look(folder: Path) -> Path:
     return file
 
 
-def live(folder: Path) -> Path:
+def draw_live_page(folder: Path) -> Path:
     """Draw the page of a network of three_axis, with a handle that pulls at its forearm.
 
     Raises:
@@ -98,7 +98,11 @@ def live(folder: Path) -> Path:
     scene, log, file = _write_pushed_scene(folder), folder / "log", folder / "live_page.png"
     emulator = {"page_port": 0, "real_time_factor": 1.0}
     network = Bringup(str(scene), start="first_answer", emulator=emulator, log=log)
-    with own_domain(), network, _in_chromium(_find_url(log / "emulator.log"), LIVE) as browser_page:
+    with (
+        own_domain(),
+        network,
+        _open_chromium(_find_url(log / "emulator.log"), LIVE) as browser_page,
+    ):
         browser_page.wait_for_function("/tick [1-9]/.test(document.body.innerText)")
         browser_page.get_by_role("tab", name="Push").click()
         browser_page.locator(DRAG).check()

@@ -51,7 +51,7 @@ OWN = {"Host": "127.0.0.1:8765"}
     ],
 )  # fmt: skip
 def test_requests_are_judged(path: str, headers: dict[str, str], status: int, below: str) -> None:
-    response = Guard(TOKEN).judge(path, headers)
+    response = Guard(TOKEN).judge_request(path, headers)
     assert response.status == status
     assert response.path == below if status == 200 else below in response.text
 
@@ -59,7 +59,7 @@ def test_requests_are_judged(path: str, headers: dict[str, str], status: int, be
 def test_a_header_that_comes_twice_is_malformed() -> None:
     of = pytest.importorskip("websockets.datastructures", reason="see requirements-peers.txt")
     headers = of.Headers([("Host", "127.0.0.1:1"), ("Host", "evil.example")])
-    assert Guard(TOKEN).judge(f"/{TOKEN}/", headers).status == 400
+    assert Guard(TOKEN).judge_request(f"/{TOKEN}/", headers).status == 400
 
 
 @pytest.mark.parametrize("packed", [False, True])
@@ -104,9 +104,9 @@ def test_any_request_has_an_answer() -> None:
         path, host, origin = (
             "".join(rng.choice(pieces, int(rng.integers(0, 6)))) for _ in range(3)
         )
-        response = Guard(TOKEN).judge(path, {"Host": host, "Origin": origin})
+        response = Guard(TOKEN).judge_request(path, {"Host": host, "Origin": origin})
         assert response.status in (400, 403), (path, host, origin)
-        response = Guard(TOKEN).judge(path, OWN)
+        response = Guard(TOKEN).judge_request(path, OWN)
         assert response.status in (200, 400, 403), path
         assert (response.status == 200) <= (path.partition("?")[0].split("/")[1:2] == [TOKEN]), path
 
@@ -144,5 +144,8 @@ def test_a_page_for_foreign_machines_is_reached_by_addresses_and_by_its_own_name
     assert page_address.is_requested_by("192.168.1.5") and not page_address.is_requested_by(
         "192.168.1.6"
     )
-    assert Guard(TOKEN, page_address).judge(f"/{TOKEN}/", {"Host": "192.168.1.5:80"}).status == 200
-    assert "token" in Guard(TOKEN, page_address).judge("/", {"Host": "192.168.1.5:80"}).text
+    assert (
+        Guard(TOKEN, page_address).judge_request(f"/{TOKEN}/", {"Host": "192.168.1.5:80"}).status
+        == 200
+    )
+    assert "token" in Guard(TOKEN, page_address).judge_request("/", {"Host": "192.168.1.5:80"}).text

@@ -14,7 +14,7 @@ from arm_emulator_page.run_view import RunView
 
 
 @command(until_stopped=True, keys="`url`, `scene`, `ticks`")
-def look(
+def serve_recorded_run(
     bag: Path,
     other: Path | None = None,
     /,
@@ -42,14 +42,14 @@ def look(
     over = (
         None
         if other is None
-        else _view_run(RecordedMachine.open_run(other, other_scene, other_run))
+        else _make_view(RecordedMachine.open_run(other, other_scene, other_run))
     )
 
-    def explained() -> tuple[TermsNow, list[str]]:
+    def explain_tick() -> tuple[TermsNow, list[str]]:
         now = explain_moment(machine)
         return now.terms, now.active
 
-    page = RunPage(_view_run(machine), explained, port, over)
+    page = RunPage(_make_view(machine), explain_tick, port, over)
     output.print_line(page.url)
     output.add_facts({"url": page.url, "scene": machine.scene.name, "ticks": machine.last})
     try:
@@ -59,9 +59,9 @@ def look(
     return 0
 
 
-def _view_run(machine: RecordedMachine) -> RunView:
+def _make_view(machine: RecordedMachine) -> RunView:
     events = tuple(
         (tick, ", ".join(str(EVENT_KINDS.get(event.kind, event.kind)) for event in tick_events))
         for tick, tick_events in sorted(machine.changes.items())
     )
-    return RunView.of(Timeline(machine), machine.last, events)
+    return RunView.create_from_line(Timeline(machine), machine.last, events)

@@ -162,7 +162,7 @@ def test_a_handle_that_is_dragged_pulls_at_its_link(live: Live, browser: Any) ->
     box(page, "Drag a handle in the picture").check()
     fill(page, "Drag a handle in the picture", "200", 2)
     live.until(page, lambda: live.page.server.scene.get_handle_by_name("/push") is not None)
-    link = live.page.arm.p_WL("forearm")
+    link = live.page.arm.locate_link("forearm")
 
     def force() -> Any:
         return np.array(live.plant.external_wrenches["forearm"].force)

@@ -63,7 +63,7 @@ class Served:
             return now, ["nothing is at its limit"]
 
         events = (120, "power"), (250, "set_state")
-        self.page = RunPage(RunView.of(self.line, LAST, events), explain)
+        self.page = RunPage(RunView.create_from_line(self.line, LAST, events), explain)
         self.url = self.page.url
 
 
@@ -164,7 +164,7 @@ def test_no_foreign_page_gets_a_connection(served: Served) -> None:
 def test_a_port_that_is_taken_is_refused(served: Served) -> None:
     port = int(served.url.split(":")[2].partition("/")[0])
     with pytest.raises(Refusal, match="port must be free"):
-        RunPage(RunView.of(served.line, LAST), lambda: (TermsNow({}, {}), []), port)
+        RunPage(RunView.create_from_line(served.line, LAST), lambda: (TermsNow({}, {}), []), port)
 
 
 def test_every_control_acts_as_labelled(served: Served, browser: Any) -> None:
@@ -237,7 +237,7 @@ def test_a_second_browser_and_a_lost_connection(served: Served, browser: Any) ->
 def test_another_future_from_a_moment_of_the_past(browser: Any) -> None:
     line = Timeline(load_offline_run("three_axis"), every=100)
     line.advance(300)
-    run_page = RunPage(RunView.of(line, 300), lambda: (TermsNow({}, {}), []))
+    run_page = RunPage(RunView.create_from_line(line, 300), lambda: (TermsNow({}, {}), []))
     futures = WhatIf(run_page, line)
     try:
         page = opened(browser, run_page.url)
@@ -274,7 +274,7 @@ def test_a_push_acts_in_the_future_and_all_futures_remain(browser: Any, tmp_path
     scene = own_three_axis(tmp_path / "scene", "external_wrench: true")
     line = Timeline(load_offline_run(str(scene)), every=100)
     line.advance(120)
-    run_page = RunPage(RunView.of(line, 120), lambda: (TermsNow({}, {}), []))
+    run_page = RunPage(RunView.create_from_line(line, 120), lambda: (TermsNow({}, {}), []))
     futures = WhatIf(run_page, line, write_timeline)
     try:
         page = opened(browser, run_page.url)
@@ -354,7 +354,9 @@ def test_a_fork_and_its_run_are_overlaid(browser: Any, tmp_path: Path) -> None:
     apart = 1e3 * float(np.linalg.norm(tool_of(straight) - tool_of(left)))
     assert apart > 1.0
     run_page = RunPage(
-        RunView.of(line, 500), lambda: (TermsNow({}, {}), []), over=RunView.of(fork, 480)
+        RunView.create_from_line(line, 500),
+        lambda: (TermsNow({}, {}), []),
+        over=RunView.create_from_line(fork, 480),
     )
     try:
         page = opened(browser, run_page.url)
@@ -374,7 +376,7 @@ def test_a_fork_and_its_run_are_overlaid(browser: Any, tmp_path: Path) -> None:
         page.screenshot(path=tmp_path / "over.png")
         go_to(page, 500)  # the other run stays at its end
         shows(page, "tick 500,")
-        run_page.lay_over(None)
+        run_page.show_second_run(None)
         page.wait_for_function("!/mm apart/.test(document.body.innerText)")
         assert len(run_page.plotted[0]) == 501
         page.close()
@@ -385,7 +387,7 @@ def test_a_fork_and_its_run_are_overlaid(browser: Any, tmp_path: Path) -> None:
 def test_the_tab_of_futures_overlays_them(browser: Any) -> None:
     line = Timeline(load_offline_run("three_axis"), every=100)
     line.advance(300)
-    run_page = RunPage(RunView.of(line, 300), lambda: (TermsNow({}, {}), []))
+    run_page = RunPage(RunView.create_from_line(line, 300), lambda: (TermsNow({}, {}), []))
     WhatIf(run_page, line)
     try:
         page = opened(browser, run_page.url)
@@ -403,11 +405,11 @@ def test_runs_of_different_joints_are_not_overlaid(served: Served) -> None:
     timeline = Timeline(load_offline_run("panda"))
     timeline.advance(1)
     with pytest.raises(Refusal, match="joints of the other run must be"):
-        served.page.lay_over(RunView.of(timeline, 1))
+        served.page.show_second_run(RunView.create_from_line(timeline, 1))
     scene = SimpleNamespace(joint_names=served.machine.scene.joint_names, servo_period=0.5)
     run = SimpleNamespace(session=SimpleNamespace(scene=scene))
     slow: Any = SimpleNamespace(line=SimpleNamespace(run=run))
     with pytest.raises(
         Refusal, match=r"servo period of the other run must be 0.001 \[s\], got 0.5"
     ):
-        served.page.lay_over(slow)
+        served.page.show_second_run(slow)

@@ -31,7 +31,7 @@ COLORS = """() => {
 def narrow_page() -> Iterator[RunPage]:
     line = Timeline(load_offline_run("ur5"), every=100)
     line.advance(100)
-    page = RunPage(RunView.of(line, 100), lambda: (TermsNow({}, {}), []))
+    page = RunPage(RunView.create_from_line(line, 100), lambda: (TermsNow({}, {}), []))
     WhatIf(page, line)
     yield page
     page.close()
