@@ -320,10 +320,9 @@ def test_damaged_parts_are_set_aside_and_their_runs_simulated_again(tmp_path, ca
     definition = load_campaign(file)
     reseeded = load_campaign(written(tmp_path, {**data, "seed": 7}, "o.yaml"))
     results, runs = Results(tmp_path / "alone", definition), make_simulator(definition)
-    foreign = write_part(
-        Results(tmp_path / "other", reseeded).folder, reseeded,
-        Outcomes.join_outcomes(list(make_simulator(reseeded).simulate_runs(draw_cases(reseeded.variation, [3])))),
-    )  # fmt: skip
+    outcomes = make_simulator(reseeded).simulate_runs(draw_cases(reseeded.variation, [3]))
+    folder = Results(tmp_path / "other", reseeded).folder
+    foreign = write_part(folder, reseeded, Outcomes.join_outcomes(list(outcomes)))
     for round_ in range(60 if FULL else 8):
         some = results.parts[int(rng.integers(len(results.parts)))]
         content = bytearray(some.read_bytes())

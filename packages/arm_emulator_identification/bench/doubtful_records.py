@@ -276,7 +276,8 @@ def spoil_record(run: MeasuredRun, scene: Scene, rng: np.random.Generator) -> di
     tau, q = run.tau, run.q_motor
     zero = draw_size(0.3, 1.0) * rng.choice([-1.0, 1.0])
     return {
-        "torques scaled up": (change_run(tau=draw_size(1.9, 3.2) * tau), ("got torques ", "with torques ")),
+        "torques scaled up": (change_run(tau=draw_size(1.9, 3.2) * tau),
+                              ("got torques ", "with torques ")),
         "torques scaled down": (change_run(tau=tau / draw_size(2.0, 3.2)),
                                 ("got torques ", "with torques ")),
         "one torque scaled up": (change_run(tau=tau * (1.0 + chosen * draw_size(1.0, 2.5))),
@@ -288,9 +289,12 @@ def spoil_record(run: MeasuredRun, scene: Scene, rng: np.random.Generator) -> di
         "time halved": (change_run(t=0.5 * run.t), ("time base",)),
         "time doubled": (change_run(t=2.0 * run.t), ("time base",)),
         "time in ms": (change_run(t=1e3 * run.t), ("t must be in s",)),
-        "torques late": (change_run(tau=shift_torques(draw_size(0.015, 0.05), np.ones(N))), (" late",)),
-        "one torque late": (change_run(tau=shift_torques(draw_size(0.03, 0.06), chosen)), (" late",)),
-        "torque outliers": (change_run(tau=add_spikes(tau, 3.0 * swing[j])), (f"{name}: 2", "outliers")),
+        "torques late": (change_run(tau=shift_torques(draw_size(0.015, 0.05), np.ones(N))),
+                         (" late",)),
+        "one torque late": (change_run(tau=shift_torques(draw_size(0.03, 0.06), chosen)),
+                            (" late",)),
+        "torque outliers": (change_run(tau=add_spikes(tau, 3.0 * swing[j])),
+                            (f"{name}: 2", "outliers")),
         "angle outliers": (change_run(q_motor=add_spikes(q, 0.02)), (f"{name}: 2", "outliers")),
         "angle zero": (change_run(q_motor=q + np.where(every == k, zero, 0.0)),
                        (f"zero of {middle}'s angle",)),
@@ -299,8 +303,8 @@ def spoil_record(run: MeasuredRun, scene: Scene, rng: np.random.Generator) -> di
         "degrees": (change_run(q_motor=np.degrees(q)), ("deg, given as rad",)),
         "N mm": (change_run(tau=1e3 * tau), ("N mm", "1e+03 times")),
         "at the links": (change_run(tau=tau / ratio), ("at the links",)),
-        "torques swapped": (change_run(tau=swap_columns(tau)), (f"torques of {name} and {second}",
-                                                       f"torques of {second} and {name}")),
+        "torques swapped": (change_run(tau=swap_columns(tau)),
+                            (f"torques of {name} and {second}", f"torques of {second} and {name}")),
         "torque's sign": (change_run(tau=tau * (1.0 - 2.0 * chosen)), (f"{name}'s torque",)),
         "angle's sign": (change_run(q_motor=q * (1.0 - 2.0 * chosen)), (f"{name}'s angle",)),
     }  # fmt: skip

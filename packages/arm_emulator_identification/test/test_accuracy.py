@@ -267,8 +267,10 @@ def test_the_command_prints_its_measurements(
 ) -> None:
     file = own_three_axis(tmp_path, "")
     out = tmp_path / "found.yaml"
-    code = compare_accuracy(str(file), cycles=2, centre=CENTRE, edge=0.1, dwell=0.2, draw=3, fit=12, held=3,
-                    positions=True, out=out)  # fmt: skip
+    code = compare_accuracy(
+        str(file), cycles=2, centre=CENTRE, edge=0.1, dwell=0.2, draw=3, fit=12, held=3,
+        positions=True, out=out,
+    )  # fmt: skip
     text = capsys.readouterr().out
     assert code == 0
     for words in (

@@ -247,12 +247,19 @@ def make_grid(low: float, high: float, count: float) -> Distribution:
 
 
 KINDS: dict[str, Callable[..., Distribution]] = {
-    function.__name__: function
-    for function in (
-        make_uniform, make_loguniform, make_normal, make_lognormal, make_triangular, make_exponential, make_weibull, make_beta,
-        make_truncated, make_choice, make_mixture, make_grid,
-    )
-}  # fmt: skip
+    "uniform": make_uniform,
+    "loguniform": make_loguniform,
+    "normal": make_normal,
+    "lognormal": make_lognormal,
+    "triangular": make_triangular,
+    "exponential": make_exponential,
+    "weibull": make_weibull,
+    "beta": make_beta,
+    "truncated": make_truncated,
+    "choice": make_choice,
+    "mixture": make_mixture,
+    "grid": make_grid,
+}
 
 
 def parse_distribution(value: object, where: str, quantity: str) -> Distribution:

@@ -93,7 +93,9 @@ class Sobol(Sensitivity):
             )
             return _make_rows(names, indices, ("ST", "ST_conf", "S1", "S1_conf"))
 
-        about = f"Shares of the variance, {self.runs(len(names))} runs, +- at {CONFIDENCE:.0%}."
+        about = (
+            f"Shares of the variance, {self.count_runs(len(names))} runs, +- at {CONFIDENCE:.0%}."
+        )
         head = ("in all", "+- in all", "alone", "+- alone")
         return self._make_findings(
             compute_rows, dict(zip(outputs, values.T, strict=True)), about, head
@@ -150,7 +152,7 @@ class Morris(Sensitivity):
             f"Change of an output by a step of a number between two of its quantiles, such as "
             f"{low:g} and {high:.3g} %, divided by {self._part:.3g}, the part that a step spans of "
             f"the range from {low:g} to {100.0 - low:g} %; "
-            f"{self.runs(len(names))} runs, +- at {CONFIDENCE:.0%}."
+            f"{self.count_runs(len(names))} runs, +- at {CONFIDENCE:.0%}."
         )
         head = ("size", "+- size", "mean", "spread")
         return self._make_findings(
