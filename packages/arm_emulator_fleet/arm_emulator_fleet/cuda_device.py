@@ -47,7 +47,7 @@ def count_cards(where: str) -> int:
     Raises:
         Refusal: there is no driver, or it finds no card.
     """
-    return int(_Driver(where).get("cuDeviceGetCount", "int *"))
+    return int(_Driver(where).read_result("cuDeviceGetCount", "int *"))
 
 
 def open_card(where: str, index: int = 0) -> CudaDevice:
@@ -85,12 +85,12 @@ class _Driver:
         except DRIVER.ffi.error as error:  # older than CUDA 10.2
             raise Refusal(where, quantity, rule, error, OTHERWISE) from None
         try:
-            self.call("cuInit", 0)
+            self.call_function("cuInit", 0)
         except DeviceError as error:
             rule = 'be a card that the driver can use for "gpu"'
             raise Refusal(where, quantity, rule, error, OTHERWISE) from None
 
-    def call(self, function: str, *arguments: Any) -> None:
+    def call_function(self, function: str, *arguments: Any) -> None:
         """Call a function of the driver.
 
         Raises:
@@ -98,14 +98,16 @@ class _Driver:
         """
         code = self.call_quietly(function, *arguments)
         if code:
-            texts = [self._explain(name, code) for name in ("cuGetErrorName", "cuGetErrorString")]
+            texts = [
+                self._explain_error(name, code) for name in ("cuGetErrorName", "cuGetErrorString")
+            ]
             raise DeviceError(function, code, f"{texts[0] or code} ({texts[1] or 'unknown'})")
 
     def call_quietly(self, function: str, *arguments: Any) -> int:
         """Call a function of the driver, and return its error code."""
         return int(getattr(self._library, function)(*arguments))
 
-    def get(self, function: str, kind: str, *arguments: Any) -> Any:
+    def read_result(self, function: str, kind: str, *arguments: Any) -> Any:
         """Return what a function of the driver writes to its first argument.
 
         Args:
@@ -117,10 +119,10 @@ class _Driver:
             DeviceError: it reports an error.
         """
         result = DRIVER.ffi.new(kind)
-        self.call(function, result, *arguments)
+        self.call_function(function, result, *arguments)
         return result[0]
 
-    def _explain(self, function: str, code: int) -> str:
+    def _explain_error(self, function: str, code: int) -> str:
         text = DRIVER.ffi.new("const char **")
         return "" if self.call_quietly(function, code, text) else c_text(text[0])
 
@@ -135,13 +137,15 @@ class CudaDevice(Device):
         self.driver, self.dlpack = driver, (CARD, index)
         self._process = os.getpid()
         try:
-            device = driver.get("cuDeviceGet", "CUdevice *", index)
+            device = driver.read_result("cuDeviceGet", "CUdevice *", index)
             name = DRIVER.ffi.new("char[]", LONGEST_NAME)
-            driver.call("cuDeviceGetName", name, LONGEST_NAME, device)
+            driver.call_function("cuDeviceGetName", name, LONGEST_NAME, device)
             self.name = c_text(name)
-            self._context = driver.get("cuDevicePrimaryCtxRetain", "CUcontext *", device)
+            self._context = driver.read_result("cuDevicePrimaryCtxRetain", "CUcontext *", device)
             self.units, major, minor = (
-                driver.get("cuDeviceGetAttribute", "int *", DRIVER.get_constant(attribute), device)
+                driver.read_result(
+                    "cuDeviceGetAttribute", "int *", DRIVER.get_constant(attribute), device
+                )
                 for attribute in (
                     "CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT",
                     "CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR",
@@ -160,10 +164,10 @@ class CudaDevice(Device):
         size = check_count(where, "size", size, 0, LARGEST_MEMORY)
         with self.enter_context():
             # Others who share the context may need what it is now.
-            before = self.driver.get("cuCtxGetLimit", "size_t *", limit)
+            before = self.driver.read_result("cuCtxGetLimit", "size_t *", limit)
             if size > before:
                 try:
-                    self.driver.call("cuCtxSetLimit", limit, size)
+                    self.driver.call_function("cuCtxSetLimit", limit, size)
                 except DeviceError as error:
                     rule = "be a size that the card grants [byte]"
                     raise Refusal(where, "size", rule, f"{size} ({error})") from None
@@ -171,9 +175,11 @@ class CudaDevice(Device):
     def synchronize(self, stream: int | None = None) -> None:  # noqa: D102
         with self.enter_context():
             if stream is None:
-                self.driver.call("cuCtxSynchronize")
+                self.driver.call_function("cuCtxSynchronize")
             else:
-                self.driver.call("cuStreamSynchronize", DRIVER.ffi.cast("CUstream", stream))
+                self.driver.call_function(
+                    "cuStreamSynchronize", DRIVER.ffi.cast("CUstream", stream)
+                )
 
     def has_address(self, pointer: int) -> bool:  # noqa: D102
         ordinal = DRIVER.ffi.new("int *", -1)
@@ -183,9 +189,9 @@ class CudaDevice(Device):
         return bool(ordinal[0] == self.dlpack[1])
 
     def free(self, pointer: int) -> None:  # noqa: D102
-        self.end("cuMemFree_v2", pointer)
+        self.free_handle("cuMemFree_v2", pointer)
 
-    def end(self, function: str, handle: Any) -> None:
+    def free_handle(self, function: str, handle: Any) -> None:
         """Call a function that frees; errors are those of earlier work, which others report."""
         if os.getpid() == self._process:
             with contextlib.suppress(DeviceError), self.enter_context():
@@ -203,40 +209,40 @@ class CudaDevice(Device):
             rule = "be used by the process that opened it"
             process = f"process {os.getpid()}, a fork of process {self._process}"
             raise Refusal("Device", self.name, rule, process, "a process that is spawned")
-        self.driver.call("cuCtxPushCurrent_v2", self._context)
+        self.driver.call_function("cuCtxPushCurrent_v2", self._context)
         try:
             yield
         finally:
             self.driver.call_quietly("cuCtxPopCurrent_v2", DRIVER.ffi.new("CUcontext *"))
 
-    def _allocate(self, size: int) -> Memory:
+    def _allocate_memory(self, size: int) -> Memory:
         with self.enter_context():
             try:
-                pointer = self.driver.get("cuMemAlloc_v2", "CUdeviceptr *", size)
+                pointer = self.driver.read_result("cuMemAlloc_v2", "CUdeviceptr *", size)
             except DeviceError as error:
                 if error.code != DRIVER.get_constant("CUDA_ERROR_OUT_OF_MEMORY"):
                     raise
                 total = DRIVER.ffi.new("size_t *")
-                left = self.driver.get("cuMemGetInfo_v2", "size_t *", total)
+                left = self.driver.read_result("cuMemGetInfo_v2", "size_t *", total)
                 rule, valid = f"fit into the memory of {self.name} [byte]", f"{left} are free"
                 raise Refusal("Device.allocate", "size", rule, size, valid) from None
         return Memory(self, int(pointer), size)
 
     def _copy_in(self, target: int, host: int, size: int) -> None:
         with self.enter_context():
-            self.driver.call("cuMemcpyHtoD_v2", target, _find_host_pointer(host), size)
+            self.driver.call_function("cuMemcpyHtoD_v2", target, _find_host_pointer(host), size)
 
     def _copy_out(self, host: int, source: int, size: int) -> None:
         with self.enter_context():
-            self.driver.call("cuMemcpyDtoH_v2", _find_host_pointer(host), source, size)
+            self.driver.call_function("cuMemcpyDtoH_v2", _find_host_pointer(host), source, size)
 
     def _copy_within(self, target: int, source: int, size: int) -> None:
         with self.enter_context():
-            self.driver.call("cuMemcpyDtoD_v2", target, source, size)
+            self.driver.call_function("cuMemcpyDtoD_v2", target, source, size)
 
-    def _fill(self, target: int, byte: int, size: int) -> None:
+    def _fill_memory(self, target: int, byte: int, size: int) -> None:
         with self.enter_context():
-            self.driver.call("cuMemsetD8_v2", target, byte, size)
+            self.driver.call_function("cuMemsetD8_v2", target, byte, size)
 
 
 class CudaModule(Module):
@@ -265,7 +271,7 @@ class CudaModule(Module):
         with device.enter_context():
             try:
                 # PTX ends with a zero, and a cubin may be followed by one.
-                self._module = self._driver.get(
+                self._module = self._driver.read_result(
                     "cuModuleLoadDataEx", "CUmodule *", content + b"\0", len(names), options, values
                 )
             except DeviceError as error:
@@ -274,35 +280,37 @@ class CudaModule(Module):
                 rule = f"be PTX or cubin for {device.name} ({device.architecture})"
                 message = " ".join(filter(None, [str(error), c_text(log)]))
                 raise Refusal("Device.load", "image", rule, message) from None
-        weakref.finalize(self, device.end, "cuModuleUnload", self._module).atexit = False
+        weakref.finalize(self, device.free_handle, "cuModuleUnload", self._module).atexit = False
 
     def find_global_memory(self, name: str) -> Memory:  # noqa: D102
         size = DRIVER.ffi.new("size_t *")
         arguments = size, self._module, name.encode()
-        pointer = self._get("cuModuleGetGlobal_v2", "CUdeviceptr *", *arguments)
+        pointer = self._get_symbol("cuModuleGetGlobal_v2", "CUdeviceptr *", *arguments)
         if pointer is None:
             raise Refusal("Module.find_global_memory", "name", "be in the module", name)
         return Memory(self.device, int(pointer), int(size[0]), self)
 
     def _look_up(self, kernel: str) -> Any:
-        function = self._get("cuModuleGetFunction", "CUfunction *", self._module, kernel.encode())
+        function = self._get_symbol(
+            "cuModuleGetFunction", "CUfunction *", self._module, kernel.encode()
+        )
         if function is None:
             return None
         with self._card.enter_context():
             max_threads = self._get_attribute(function, "CU_FUNC_ATTRIBUTE_MAX_THREADS_PER_BLOCK")
         return function, max_threads
 
-    def _get(self, function: str, kind: str, *arguments: Any) -> Any:
+    def _get_symbol(self, function: str, kind: str, *arguments: Any) -> Any:
         """Return what the module has of a name, or None."""
         with self._card.enter_context():
             try:
-                return self._driver.get(function, kind, *arguments)
+                return self._driver.read_result(function, kind, *arguments)
             except DeviceError as error:
                 if error.code != DRIVER.get_constant("CUDA_ERROR_NOT_FOUND"):
                     raise
                 return None
 
-    def _describe(self, kernel: tuple[CData, int]) -> dict[str, int]:
+    def _describe_kernel(self, kernel: tuple[CData, int]) -> dict[str, int]:
         function, max_threads = kernel
         with self._card.enter_context():
             return {
@@ -314,10 +322,10 @@ class CudaModule(Module):
 
     def _get_attribute(self, function: CData, name: str) -> int:
         return int(
-            self._driver.get("cuFuncGetAttribute", "int *", DRIVER.get_constant(name), function)
+            self._driver.read_result("cuFuncGetAttribute", "int *", DRIVER.get_constant(name), function)
         )
 
-    def _launch(
+    def _launch_kernel(
         self,
         kernel: tuple[CData, int],
         threads: int,
@@ -333,7 +341,9 @@ class CudaModule(Module):
         parameters = DRIVER.ffi.cast("void **", ctypes.addressof(pointers))
         grid = -(-threads // block), 1, 1, block, 1, 1
         with self._card.enter_context():
-            self._driver.call("cuLaunchKernel", function, *grid, 0, C_NULL, parameters, C_NULL)
+            self._driver.call_function(
+                "cuLaunchKernel", function, *grid, 0, C_NULL, parameters, C_NULL
+            )
 
 
 def _find_host_pointer(address: int) -> CData:

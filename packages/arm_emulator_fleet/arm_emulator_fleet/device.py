@@ -123,7 +123,7 @@ class Device(ABC):
             Refusal: no such number, or the device has no room for them.
         """
         size = check_count("Device.allocate", "size", size, 0, LARGEST_MEMORY)
-        return self._allocate(size) if size else Memory(self, 0, 0)
+        return self._allocate_memory(size) if size else Memory(self, 0, 0)
 
     def write(self, memory: Memory, array: NDArray[Any], offset: int = 0) -> None:
         """Copy an array of NumPy to the device.
@@ -139,7 +139,7 @@ class Device(ABC):
         """
         where = "Device.write"
         data = np.ascontiguousarray(array)
-        target = self._find(where, memory, offset, data.nbytes)
+        target = self._find_address(where, memory, offset, data.nbytes)
         if data.nbytes:
             self._copy_in(target, data.ctypes.data, data.nbytes)
 
@@ -160,7 +160,7 @@ class Device(ABC):
         """
         where = "Device.read"
         data = np.empty(tuple(shape), dtype)
-        source = self._find(where, memory, offset, data.nbytes)
+        source = self._find_address(where, memory, offset, data.nbytes)
         if data.nbytes:
             self._copy_out(data.ctypes.data, source, data.nbytes)
         return data
@@ -181,8 +181,8 @@ class Device(ABC):
         """
         where = "Device.copy"
         size = check_count(where, "size", size, 0, LARGEST_MEMORY)
-        first = self._find(where, target, to, size)
-        second = self._find(where, source, since, size)
+        first = self._find_address(where, target, to, size)
+        second = self._find_address(where, source, since, size)
         if size:
             self._copy_within(first, second, size)
 
@@ -202,9 +202,9 @@ class Device(ABC):
         where = "Device.fill"
         byte = check_count(where, "byte", byte, 0, 255)
         size = memory.size - offset if size is None else check_count(where, "size", size)
-        target = self._find(where, memory, offset, size)
+        target = self._find_address(where, memory, offset, size)
         if size > 0:
-            self._fill(target, byte, size)
+            self._fill_memory(target, byte, size)
 
     @abstractmethod
     def load(self, image: bytes | Path) -> Module:
@@ -246,7 +246,7 @@ class Device(ABC):
         """Free memory; `Memory` calls it."""
 
     @abstractmethod
-    def _allocate(self, size: int) -> Memory: ...
+    def _allocate_memory(self, size: int) -> Memory: ...
     @abstractmethod
     def _copy_in(self, target: int, host: int, size: int) -> None: ...
     @abstractmethod
@@ -254,9 +254,9 @@ class Device(ABC):
     @abstractmethod
     def _copy_within(self, target: int, source: int, size: int) -> None: ...
     @abstractmethod
-    def _fill(self, target: int, byte: int, size: int) -> None: ...
+    def _fill_memory(self, target: int, byte: int, size: int) -> None: ...
 
-    def _find(self, where: str, memory: Memory, offset: int, size: int) -> int:
+    def _find_address(self, where: str, memory: Memory, offset: int, size: int) -> int:
         check_device(where, self, memory)
         return memory.check_range(where, offset, size)
 
@@ -301,9 +301,9 @@ class Module(ABC):
         block = check_count(where, "block", block, 1, LARGEST_BLOCK)
         threads = check_count(where, "threads", threads, 0, LARGEST_GRID * block)
         packed = _pack_arguments(where, self.device, arguments)
-        handle = self._find(where, kernel)
+        handle = self._find_kernel(where, kernel)
         if threads:
-            self._launch(handle, threads, packed, block)
+            self._launch_kernel(handle, threads, packed, block)
 
     def describe(self, kernel: str) -> dict[str, int]:
         """Return what a kernel needs of a card: registers, bytes of stack, of shared memory.
@@ -311,7 +311,7 @@ class Module(ABC):
         Raises:
             Refusal: no such kernel.
         """
-        return self._describe(self._find("Module.describe", kernel))
+        return self._describe_kernel(self._find_kernel("Module.describe", kernel))
 
     @abstractmethod
     def find_global_memory(self, name: str) -> Memory:
@@ -326,12 +326,14 @@ class Module(ABC):
         """Return what starts a kernel, or None."""
 
     @abstractmethod
-    def _launch(self, handle: Any, threads: int, packed: ctypes.Array[Any], block: int) -> None: ...
+    def _launch_kernel(
+        self, handle: Any, threads: int, packed: ctypes.Array[Any], block: int
+    ) -> None: ...
 
-    def _describe(self, handle: Any) -> dict[str, int]:
+    def _describe_kernel(self, handle: Any) -> dict[str, int]:
         return {}
 
-    def _find(self, where: str, kernel: str) -> Any:
+    def _find_kernel(self, where: str, kernel: str) -> Any:
         if kernel not in self._kernels:
             function = self._look_up(kernel)
             if function is None:

@@ -34,11 +34,11 @@ class DeviceServos:
         self._joints, self._arms = int(servos.joints), arms
         sizes = self._core.read_sizes("servos_measure_room", 3)
         groups = self._core.count_groups(arms)
-        self._keep("groups", groups * sizes[0])
-        self._keep("joints", groups * self._joints * sizes[1])
+        self._reserve_memory("groups", groups * sizes[0])
+        self._reserve_memory("joints", groups * self._joints * sizes[1])
         places = [self._memory[name].pointer for name in ("groups", "joints")]
-        self._write("abreast", np.array(places, np.uint64))
-        self._put(servos)
+        self._write_rows("abreast", np.array(places, np.uint64))
+        self._copy_servos(servos)
         self._core.launch("servos_begin", groups, servos=self._servos, arms=arms)
 
     def servo_fleet_end(self, servos: CData) -> None:
@@ -53,7 +53,7 @@ class DeviceServos:
 
     def servo_fleet_aim(self, servos: CData, arms: int) -> None:
         """Take over motion periods and rows of targets."""
-        self._put(servos)
+        self._copy_servos(servos)
         groups = self._core.count_groups(arms)
         self._core.launch("servos_aim", groups, servos=self._servos, arms=arms)
 
@@ -64,23 +64,23 @@ class DeviceServos:
         self._device.write(gains, view_bytes(joint, size))
         self._core.launch("servos_retune", 1, servos=self._servos, arm=arm, joint=gains)
 
-    def _put(self, servos: CData) -> None:
+    def _copy_servos(self, servos: CData) -> None:
         """Copy a struct and all that it points to."""
         own = SERVOS.make_struct("servo_fleet")
         own[0] = servos[0]
         N, rows = self._joints, int(servos.rows)
-        own.place = self._copy("place", servos.place, 4 * N)
+        own.place = self._copy_rows("place", servos.place, 4 * N)
         own.arm = self._put_arms(servos)
         if servos.since != NULL:
             rows = int(servos.first_row[self._arms])
-            own.since = self._copy("since", servos.since, 8 * rows)
-            own.first_row = self._copy("first_row", servos.first_row, 8 * (self._arms + 1))
-            own.row = self._copy("row", servos.row, 8 * self._arms)
+            own.since = self._copy_rows("since", servos.since, 8 * rows)
+            own.first_row = self._copy_rows("first_row", servos.first_row, 8 * (self._arms + 1))
+            own.row = self._copy_rows("row", servos.row, 8 * self._arms)
             numbers = rows * N
         else:
             numbers = rows * max(int(servos.row_stride), N)
         for name in ("q", "v", "tau"):
-            setattr(own, name, self._copy(name, getattr(servos, name), 8 * numbers))
+            setattr(own, name, self._copy_rows(name, getattr(servos, name), 8 * numbers))
         own.abreast = cast_pointer(self._memory["abreast"])
         self._device.write(self._servos, view_bytes(own, self._servos.size))
 
@@ -91,22 +91,22 @@ class DeviceServos:
         size = self._joints * SERVOS.get_size("servo_joint")
         hosts, index = np.unique(arms["joint"], return_inverse=True)
         numbers = [view_bytes(SERVOS.ffi.cast("servo_joint *", int(host)), size) for host in hosts]
-        joints = self._write("numbers", np.concatenate(numbers))
+        joints = self._write_rows("numbers", np.concatenate(numbers))
         arms["joint"] = joints.pointer + np.uint64(size) * index.reshape(-1).astype(np.uint64)
         arms["state"] = 0
-        return cast_pointer(self._write("arms", arms.view(np.uint8)))
+        return cast_pointer(self._write_rows("arms", arms.view(np.uint8)))
 
-    def _copy(self, name: str, host: CData, size: int) -> CData:
+    def _copy_rows(self, name: str, host: CData, size: int) -> CData:
         if host == NULL:
             return NULL
-        return cast_pointer(self._write(name, view_bytes(host, size)))
+        return cast_pointer(self._write_rows(name, view_bytes(host, size)))
 
-    def _write(self, name: str, array: Any) -> Memory:
-        memory = self._keep(name, array.nbytes)
+    def _write_rows(self, name: str, array: Any) -> Memory:
+        memory = self._reserve_memory(name, array.nbytes)
         self._device.write(memory, array)
         return memory
 
-    def _keep(self, name: str, size: int) -> Memory:
+    def _reserve_memory(self, name: str, size: int) -> Memory:
         if name not in self._memory or self._memory[name].size != size:
             self._memory[name] = self._device.allocate(size)
         return self._memory[name]

@@ -210,7 +210,9 @@ class Fleet(CoreMachines):
         """
         where = "Fleet.advance"
         steps = check_count(where, "steps", steps, 0, LARGEST_STEPS)
-        q: Array = self._run(self._arguments.read_commands(command, where)[np.newaxis], steps)[0]
+        q: Array = self._run_rows(self._arguments.read_commands(command, where)[np.newaxis], steps)[
+            0
+        ]
         return q
 
     def exchange(self, command: Commands, tick: int = -1, **further: Commands) -> None:
@@ -357,16 +359,16 @@ class Fleet(CoreMachines):
         places = out.measurement, out.truth
         follow, fleet, refused = self.core.arm_fleet_follow, self._fleet, []
 
-        def go(some: int, first: int, arms: int) -> None:
+        def follow_arms(some: int, first: int, arms: int) -> None:
             if follow(fleet, first, arms, arguments, some, by, *places) == REFUSED:
                 refused.append(first)
 
         for done, some in self._divide_periods(periods):
             by.links = NULL if links is None else pointer(links[done:])
             if arms is None:
-                self._shares.do_work(self._period_worth * some, partial(go, some))
+                self._shares.do_work(self._period_worth * some, partial(follow_arms, some))
             else:
-                go(some, 0, arms)
+                follow_arms(some, 0, arms)
             if refused:
                 raise self._make_refusal(where, "")
         return out
@@ -449,7 +451,7 @@ class Fleet(CoreMachines):
             rule = f"have shape (K, {N}) or (K, {self._count}, {N})"
             raise Refusal(where, ANY_COMMANDS.name, rule, rows.shape)
         steps = check_count(where, "steps", steps, 0, LARGEST_STEPS // max(1, len(rows)))
-        return self._run(rows, steps)
+        return self._run_rows(rows, steps)
 
     @property
     @synchronized
@@ -461,7 +463,7 @@ class Fleet(CoreMachines):
         }
         return {arm: why for arm, why in divergences.items() if why is not None}
 
-    def _run(self, rows: Array, steps: int) -> Array:
+    def _run_rows(self, rows: Array, steps: int) -> Array:
         # A sum is quick, and not finite if any of them is not.
         if not np.isfinite(rows.sum()):
             ANY_COMMANDS.check_values("Fleet.run", rows)
@@ -471,15 +473,17 @@ class Fleet(CoreMachines):
         if steps > longest:
             for row, after in zip(rows, q, strict=True):
                 for done in range(0, steps, longest):
-                    self._advance(row[np.newaxis], min(longest, steps - done), after[np.newaxis])
+                    self._advance_arms(
+                        row[np.newaxis], min(longest, steps - done), after[np.newaxis]
+                    )
             return q
         at_once = longest // max(1, steps)
         for first in range(0, len(rows), at_once):
             end = first + at_once
-            self._advance(rows[first:end], steps, q[first:end])
+            self._advance_arms(rows[first:end], steps, q[first:end])
         return q
 
-    def _advance(self, rows: Array, steps: int, q: Array) -> None:
+    def _advance_arms(self, rows: Array, steps: int, q: Array) -> None:
         arguments = pointer(rows), len(rows), steps, pointer(q)
         run = self.core.arm_fleet_run
         worth = rows[..., 0].size * steps

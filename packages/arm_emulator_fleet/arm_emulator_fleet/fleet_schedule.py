@@ -109,9 +109,9 @@ class FleetWay(NonCopyable):
                     raise Refusal(where, "change", rule, change)
                 rows.append((tick, kind, place, value))
             first.append(len(rows))
-        self._keep(first, rows, wrenches)
+        self._store_changes(first, rows, wrenches)
 
-    def _keep(
+    def _store_changes(
         self,
         first: list[int],
         rows: list[tuple[int, int, int, float]],

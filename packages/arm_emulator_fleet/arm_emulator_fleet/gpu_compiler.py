@@ -183,7 +183,7 @@ def _build_cubin(command: list[str], unit: Unit, architecture: str, scratch: Pat
     ptx = load_file(unit, architecture, CLANG)
     source.write_bytes(ptx)
     words = [*command, "--fmad=false", f"-arch={architecture}"]
-    options = _ask(tuple(command), unit.where, "--help")
+    options = _ask_compiler(tuple(command), unit.where, "--help")
     if PARALLEL in options:  # since CUDA 12
         words.append(f"{PARALLEL}=0")  # a thread on each core
     if is_assembled_quickly(ptx) and QUICK in options:
@@ -208,7 +208,7 @@ def _read_result(file: Path, compiler: str, unit: Unit, mark: bytes, kind: str) 
 @cache
 def _choose_target(command: tuple[str, ...], where: str, architecture: str) -> str:
     """Return the newest architecture up to a card's that clang knows; newer cards take its PTX."""
-    about = _ask(command, where, "--version")
+    about = _ask_compiler(command, where, "--version")
     version = re.search(r"clang version (\d+)", about)
     if version is None or int(version[1]) < OLDEST:
         lines = about.strip().splitlines()[:1]
@@ -217,7 +217,7 @@ def _choose_target(command: tuple[str, ...], where: str, architecture: str) -> s
         raise Refusal(
             where, f"compiler {command[0]}", rule, lines[0] if lines else "nothing", remedy
         )
-    text = _ask(command, where, "--target=nvptx64-nvidia-cuda", "--print-supported-cpus")
+    text = _ask_compiler(command, where, "--target=nvptx64-nvidia-cuda", "--print-supported-cpus")
     targets = [int(number) for number in re.findall(r"^\s*sm_(\d+)$", text, re.M)]
     card = re.fullmatch(r"sm_(\d+)[af]?", architecture)
     fitting = [number for number in targets if card and number <= int(card[1])]
@@ -228,7 +228,7 @@ def _choose_target(command: tuple[str, ...], where: str, architecture: str) -> s
     return f"sm_{max(fitting)}"
 
 
-def _ask(command: tuple[str, ...], where: str, *words: str) -> str:
+def _ask_compiler(command: tuple[str, ...], where: str, *words: str) -> str:
     """Return the words that a compiler writes about itself."""
     try:
         done = subprocess.run(

@@ -64,7 +64,7 @@ class ProcessorDevice(Device):
             self._shares[key] = WorkThreads(threads, 1, self.units)
         return self._shares[key]
 
-    def _allocate(self, size: int) -> Memory:
+    def _allocate_memory(self, size: int) -> Memory:
         try:
             array = np.empty(size + ALIGNMENT, np.uint8)
         except (MemoryError, ValueError):
@@ -81,7 +81,7 @@ class ProcessorDevice(Device):
     def _copy_within(self, target: int, source: int, size: int) -> None:
         ctypes.memmove(target, source, size)
 
-    def _fill(self, target: int, byte: int, size: int) -> None:
+    def _fill_memory(self, target: int, byte: int, size: int) -> None:
         ctypes.memset(target, byte, size)
 
 
@@ -120,7 +120,9 @@ class ProcessorModule(Module):
         address = _load_loader().dlsym(self._library, kernel.encode())
         return _LOADER.ffi.cast(KERNEL, address) if address else None
 
-    def _launch(self, kernel: CData, threads: int, packed: ctypes.Array[Any], block: int) -> None:
+    def _launch_kernel(
+        self, kernel: CData, threads: int, packed: ctypes.Array[Any], block: int
+    ) -> None:
         arguments = _LOADER.ffi.cast("void **", ctypes.addressof(packed))
         work = self._processor.get_work_threads(threads)
         work.do_work(threads, lambda first, count: kernel(first, count, arguments))

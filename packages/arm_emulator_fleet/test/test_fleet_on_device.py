@@ -667,4 +667,4 @@ def test_a_thread_gets_the_stack_that_the_kernels_need(located: Scene, fleet_car
     assert isinstance(card, CudaDevice)
     with card.enter_context():
         limit = DRIVER.get_constant("CU_LIMIT_STACK_SIZE")
-        assert card.driver.get("cuCtxGetLimit", "size_t *", limit) >= STACK_WITH_EVENTS
+        assert card.driver.read_result("cuCtxGetLimit", "size_t *", limit) >= STACK_WITH_EVENTS
