@@ -332,18 +332,18 @@ def test_drives_on_a_bus_have_every_output(scene: Scene) -> None:
     for tick in range(160):
         # Both in torque; the brake of the second one closes.
         for j, sign in enumerate((1, -1)):
-            drives.set(j, 0x6502, 1 << 9)  # these gains are not for it
+            drives.set_entry(j, 0x6502, 1 << 9)  # these gains are not for it
             drives.write(j, 0x6060, 10)
             drives.write(j, 0x6071, sign * 1000)
             for further_input in further[j]:
-                drives.give(j, find_index(further_input), 0.5 * sign)
+                drives.write_real(j, find_index(further_input), 0.5 * sign)
             drives.write(j, 0x6040, (6, 7, 15)[min(tick, 2)])
         if tick == 140:
             drives.write(1, 0x60FE, 1, 2)
             drives.write(1, 0x60FE, 1, 1)
         drives.advance_periods()
         if tick == 150:
-            drives.restart(0)
+            drives.restart_drive(0)
         elif 3 < tick < 140:
             for further_input in further[0]:
                 assert getattr(drives.plant.measured, further_input.applied).tolist() == [0.5, -0.5]
@@ -375,10 +375,10 @@ def test_drives_refuse_values_that_no_object_can_carry(scene: Scene) -> None:
     file = find_scene("three_axis")
     drives = Drives(Plant(load_scene(file)), load_gains(file).servo, CANOPEN)
     for input in scene.joints[0].inputs[1:]:
-        drives.give(0, find_index(input), 0.0)
+        drives.write_real(0, find_index(input), 0.0)
         for value in (1.0, np.nan, np.inf):
             with pytest.raises(Aborted, match="06090030"):
-                drives.give(0, find_index(input), value)
+                drives.write_real(0, find_index(input), value)
 
 
 def test_tables_of_the_site_have_all_of_them() -> None:

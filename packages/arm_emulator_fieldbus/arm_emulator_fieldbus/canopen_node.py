@@ -143,12 +143,12 @@ class Node:
             own[0x1400 + k, 1] = 0x200 + 0x100 * k
             own[0x1800 + k, 1] = 0x180 + 0x100 * k
             if k:
-                self._drives.set(self._drive, 0x1400 + k, 1, 2)
-                self._drives.set(self._drive, 0x1800 + k, 1, 2)
-        self._drives.set(self._drive, 0x1800, 10, 5)
+                self._drives.set_entry(self._drive, 0x1400 + k, 1, 2)
+                self._drives.set_entry(self._drive, 0x1800 + k, 1, 2)
+        self._drives.set_entry(self._drive, 0x1800, 10, 5)
         for (index, sub), base in own.items():
-            self._drives.set(self._drive, index, base + self.number, sub)
-        self._drives.set(self._drive, 0x1006, self._first_sync_period)
+            self._drives.set_entry(self._drive, index, base + self.number, sub)
+        self._drives.set_entry(self._drive, 0x1006, self._first_sync_period)
 
     def _read_settings(self) -> None:
         """Take the settings of the communication from the dictionary."""
@@ -295,7 +295,7 @@ class Node:
             case 128:
                 self.state = NmtState.PRE_OPERATIONAL
             case 129:
-                self._drives.restart(self._drive)
+                self._drives.restart_drive(self._drive)
                 self._set_defaults()
                 return self._restart_node()
             case 130:
@@ -317,7 +317,7 @@ class Node:
 
     def _restore_communication(self) -> None:
         for (index, sub), value in self._defaults.items():
-            self._drives.set(self._drive, index, value, sub)
+            self._drives.set_entry(self._drive, index, value, sub)
 
     def _answer_request(self, id_: int, now: int) -> list[CanFrame]:
         """Remote frames: node guarding, and PDOs."""

@@ -215,7 +215,7 @@ class Drives:
         if code:
             raise Aborted(index, sub, code)
 
-    def give(self, drive: int, index: int, value: float) -> None:
+    def write_real(self, drive: int, index: int, value: float) -> None:
         """Write a number to an entry of type REAL32 or REAL64.
 
         Raises:
@@ -224,7 +224,7 @@ class Drives:
         layout = REALS[self._entries[index, 0].type]
         self.download_entry(drive, index, 0, struct.pack(layout, value))
 
-    def set(self, drive: int, index: int, value: int, sub: int = 0) -> None:
+    def set_entry(self, drive: int, index: int, value: int, sub: int = 0) -> None:
         """Set an entry that belongs to the bus, whatever its access and range."""
         is_set = self.calls.drives_set(self.pointer, drive, index, sub, value)
         assert is_set, "the dictionary has it"
@@ -259,7 +259,7 @@ class Drives:
         """Forbid or allow changes of the mapping of process data."""
         self.calls.drives_lock_mapping(self.pointer, drive, locked)
 
-    def restart(self, drive: int = -1) -> None:
+    def restart_drive(self, drive: int = -1) -> None:
         """Return a drive, -1: all, to its initial state."""
         self.calls.drives_restart(self.pointer, drive)
 

@@ -96,7 +96,7 @@ class Segment:
         """Return registers and memory of a slave."""
         return bytes(SEGMENT.ffi.buffer(self._calls.ethercat_memory(self.pointer, slave), MEMORY))
 
-    def open(self, interface: str) -> int:
+    def open_interface(self, interface: str) -> int:
         """Return a descriptor of a network interface.
 
         Raises:
@@ -113,7 +113,7 @@ class Segment:
         rule = "name an existing network interface (`ip link` lists them)"
         raise Refusal("ethercat", "--interface", rule, interface)
 
-    def serve(self, descriptor: int, seconds: float) -> None:
+    def serve_frames(self, descriptor: int, seconds: float) -> None:
         """Serve frames for some time, or until a signal comes, or until the machine diverges.
 
         Raises:

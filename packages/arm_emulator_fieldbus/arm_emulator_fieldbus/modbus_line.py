@@ -60,7 +60,7 @@ class ModbusLine:
         replies = b""
         for request in requests:
             self._silences += 1
-            self._follow()
+            self._pass_periods()
             reply = self.station.answer_request(request)
             if reply:
                 self._bytes += len(reply)
@@ -68,7 +68,7 @@ class ModbusLine:
                 replies += self.errors.damage_bytes(reply)
         return replies
 
-    def _follow(self) -> None:
+    def _pass_periods(self) -> None:
         """Let the servo periods pass that end up to now on the line."""
         if not self._by_line:
             return

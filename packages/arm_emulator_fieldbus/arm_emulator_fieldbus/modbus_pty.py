@@ -70,7 +70,7 @@ class SerialPort:
         os.close(self._end)
         os.close(self._port)
 
-    def take(self, timeout: float | None) -> bytes:
+    def read_bytes(self, timeout: float | None) -> bytes:
         """Return the bytes that have come, after at most `timeout` [s]; empty if none have."""
         if not select.select([self._end], [], [], timeout)[0]:
             return b""
@@ -80,7 +80,7 @@ class SerialPort:
             return b""
         return data if self._has_same_speed() else b""
 
-    def give(self, data: bytes) -> None:
+    def write_bytes(self, data: bytes) -> None:
         """Send bytes; bytes that are not read are lost, as on a line."""
         with contextlib.suppress(BlockingIOError):
             os.write(self._end, data)
@@ -106,12 +106,12 @@ def serve_port(port: SerialPort, line: ModbusLine) -> None:
     silent = False
     while True:
         waiting = line.receiver.has_partial
-        data = port.take(gap if waiting else REPORT_SILENCE)
+        data = port.read_bytes(gap if waiting else REPORT_SILENCE)
         if data:
             silent = False
-            port.give(line.exchange_bytes(data))
+            port.write_bytes(line.exchange_bytes(data))
         elif waiting:
-            port.give(line.note_silence())
+            port.write_bytes(line.note_silence())
         elif not silent:
             silent = True
             tick = line.converter.session.tick
@@ -129,15 +129,15 @@ class RealTimeService:
     def __init__(self, port: SerialPort, line: ModbusLine) -> None:
         self._port, self._line = port, line
 
-    def serve(self) -> None:
+    def serve_masters(self) -> None:
         """Serve masters, indefinitely."""
         line, receiver = self._line, self._line.receiver
         silence = compute_silence(line.baud)
         gap = max(silence, LONGEST_GAP)
         last = began = time.monotonic_ns()
         while True:
-            data = self._port.take(LOOK)
-            self._look()
+            data = self._port.read_bytes(LOOK)
+            self._update_state()
             now = time.monotonic_ns()
             if data:
                 last = now
@@ -158,14 +158,14 @@ class RealTimeService:
                 if reply:
                     duration = compute_bytes_time(len(reply), line.baud)
                     self._wait_until(max(heard, time.monotonic_ns()) + duration)
-                    self._port.give(line.errors.damage_bytes(reply))
+                    self._port.write_bytes(line.errors.damage_bytes(reply))
 
     def _wait_until(self, moment: int) -> None:
         while (left := moment - time.monotonic_ns()) > 0:
             time.sleep(min(left / 1e9, LOOK))
-            self._look()
+            self._update_state()
 
-    def _look(self) -> None:
+    def _update_state(self) -> None:
         """Take what the loop in real time has reached."""
         converter = self._line.converter
         while converter.session.take():

@@ -229,7 +229,7 @@ def command_of(word: int, before: int, where: str) -> str:
 
 def bring(drives: Drives, where: str) -> None:
     """Every drive to a state, in cyclic velocity, with stops that end where they begin."""
-    drives.restart()
+    drives.restart_drive()
     for j in range(N):
         drives.write(j, MODE, CSV)
         drives.write(j, 0x605A, 6)  # stay in Quick stop active

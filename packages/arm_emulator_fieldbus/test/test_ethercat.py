@@ -338,7 +338,7 @@ def test_interfaces_and_files_that_cannot_be_opened_are_refused(
 ) -> None:
     for name in ("", "no_such_thing", "lo", "x" * 300):
         with pytest.raises(Refusal, match="--interface must "):
-            master.segment.open(name)
+            master.segment.open_interface(name)
     with pytest.raises(Refusal, match="be writable"):
         write_esi("three_axis", tmp_path / "nowhere" / "file.xml")
 

@@ -411,7 +411,7 @@ def test_real_time_keeps_up_with_the_clock() -> None:
     with silent, far_end:
         began = time.monotonic()
         for _ in range(400):
-            served.serve(silent.fileno(), 0.0013)
+            served.serve_frames(silent.fileno(), 0.0013)
         passed = (time.monotonic() - began) * 1e9 / PERIOD
     counted = served.figures.periods + served.figures.late_periods
     # Turns that begin anew would lose 0.3 periods each; the host may sleep 50 ms at the end.

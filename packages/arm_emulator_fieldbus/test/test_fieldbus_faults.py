@@ -79,7 +79,7 @@ def test_every_fault_of_the_scene_is_named_and_set_by_its_number(scene: Scene, b
         drives.plant.set_parameter(name, 2.0)  # by another door
         assert read(MAGNITUDE) == struct.pack("<d", 2.0), "the machine's, not the drive's"
         assert drives.read(0, NUMBER) == 1, "each drive has a choice of its own"
-    drives.restart()
+    drives.restart_drive()
     assert drives.plant.parameters == dict.fromkeys(NAMES, 2.0), "they outlive a drive's restart"
 
 

@@ -60,7 +60,7 @@ def test_the_interpolation_time_follows_the_cycle_of_the_bus_until_a_master_writ
     drives.write(0, 0x60C2, -3, 2)
     drives.set_cycle(0, 4_000_000)
     assert drives.count_periods_per_target(0) == 7, "the master's choice stays"
-    drives.restart(0)
+    drives.restart_drive(0)
     assert drives.count_periods_per_target(0) == 4, "until the drive starts again"
 
 

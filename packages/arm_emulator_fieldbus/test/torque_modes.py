@@ -37,7 +37,7 @@ def enabled(scene: Scene, servo: ServoConfig, withheld: bool = False) -> Drives:
     joints = range(len(scene.joints))
     for j in joints:
         if withheld:
-            drives.set(j, 0x6502, 0x3AD)
+            drives.set_entry(j, 0x6502, 0x3AD)
         drives.write(j, 0x6060, CYCLIC_POSITION)
         drives.write(j, 0x607A, drives.read(j, 0x6064))
     for word in (6, 7, 15):

@@ -53,7 +53,7 @@ def serve_ethercat(
         raise Refusal("ethercat", "--interface", "name a network interface", "none")
     machine, segment = _load_segment(scene, not realtime)
     joints, withheld = machine.joint_names, segment.drives.withheld
-    descriptor = segment.open(interface)
+    descriptor = segment.open_interface(interface)
     # Masters wait some milliseconds for a frame, which a busy host may exceed before it wakes us.
     with contextlib.suppress(PermissionError):
         policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK  # not for recorder and page
@@ -73,7 +73,7 @@ def serve_ethercat(
         with Recorder(plant, outputs, waits=not realtime), serve_controls(plant, page) as server:
             print(f"ethercat: on {interface}, until Ctrl-C", flush=True)
             while not segment.figures.diverged and server.poll_requests():
-                segment.serve(descriptor, _TURN)
+                segment.serve_frames(descriptor, _TURN)
         print(f"scene {machine.name}: the machine has diverged", file=sys.stderr)
         return 1
     finally:

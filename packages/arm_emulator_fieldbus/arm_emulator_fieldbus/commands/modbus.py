@@ -73,7 +73,7 @@ def serve_modbus(
         print(f"modbus: {at}, {baud} baud, clock {clock}", flush=True)
         line = ModbusLine(converter, station, clock, baud, errors)
         if clock == "realtime":
-            RealTimeService(port, line).serve()
+            RealTimeService(port, line).serve_masters()
         else:
             serve_port(port, line)
     return 0
