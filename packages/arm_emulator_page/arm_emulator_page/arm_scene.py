@@ -60,11 +60,11 @@ class ArmScene:
             self._add_mesh(k, shape) for k, shape in enumerate(self._shapes.geometryObjects)
         ]
         self._frame = server.scene.add_frame(f"{name}/tool", axes_length=0.1, axes_radius=0.003)
-        self.show(scene.start)
+        self.show_arm(scene.start)
         places = [place.translation for place in (*self._places.oMg, *self._data.oMi)]
         self.size = 0.3 + float(np.linalg.norm(places, axis=1).max(initial=0.5))
 
-    def show(self, q: Array) -> None:
+    def show_arm(self, q: Array) -> None:
         """Show the arm at positions (N,) [rad or m]."""
         at = self._complete_configuration(q)
         pin.forwardKinematics(self._model, self._data, at)
@@ -91,7 +91,7 @@ class ArmScene:
         frame = self._model.getFrameId(link, pin.FrameType.BODY)
         return np.array(pin.updateFramePlacement(self._model, self._data, frame).translation)
 
-    def remove(self) -> None:
+    def remove_arm(self) -> None:
         """Take the arm and its way out of the scene."""
         for handle in (*self._handles, self._frame, self._path):
             if handle is not None:

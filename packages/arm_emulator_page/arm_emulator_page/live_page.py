@@ -29,7 +29,7 @@ RATES = {"as fast as possible": 0.0, "1": 1.0, "0.25": 0.25, "0.1": 0.1, "0.01":
 class LivePage:
     """Serves a running machine to browsers until it is closed.
 
-    Its owner gives it rows by `take`, and lets it draw by `draw`, some times a second. All browsers
+    Its owner gives it rows by `take_rows`, and lets it draw by `draw_rows`, some times a second. All browsers
     see the same moment.
 
     Attributes:
@@ -81,9 +81,11 @@ class LivePage:
         gui.add_markdown(f"**{escape_markdown(scene.name)}**")
         self._moment = gui.add_markdown("no tick yet")
         self._slider = gui.add_slider("Tick", 0, 1, 1, 0)
-        self._slider.on_update(lambda _: None if self._changing else self.go(self._slider.value))
+        self._slider.on_update(
+            lambda _: None if self._changing else self.go_to_tick(self._slider.value)
+        )
         self._live_button = gui.add_button("Live", disabled=True)
-        self._live_button.on_click(lambda _: self.go(None))
+        self._live_button.on_click(lambda _: self.go_to_tick(None))
         self._add_time_controls(gui, can)
         self.answer = gui.add_markdown("")
         tabs = gui.add_tab_group()
@@ -98,7 +100,7 @@ class LivePage:
                 self._target = TargetTab(self, served.server, self.arm)
         if "push" in can:
             with tabs.add_tab("Push"):
-                push = partial(self.ask, "push")
+                push = partial(self.request_action, "push")
                 PushTab(self.exclusive, push, served.server, self.arm, scene)
         with tabs.add_tab("Machine"):
             add_machine_tab(self, gui, scene)
@@ -106,7 +108,7 @@ class LivePage:
             if "break_when" in can:
                 self._condition = gui.add_text("Stop when", "")
                 gui.add_button("Set the breakpoint").on_click(lambda _: self._set_breakpoint())
-            self._list = EventList(gui, self.go)
+            self._list = EventList(gui, self.go_to_tick)
         if self.arm.missing:
             gui.add_markdown(f"The arm's shapes are not shown. {escape_markdown(self.arm.missing)}")
 
@@ -121,19 +123,19 @@ class LivePage:
 
     # Rows and pictures
 
-    def take(self, rows: ColumnRows, dropped: int) -> None:
+    def take_rows(self, rows: ColumnRows, dropped: int) -> None:
         """Take rows of the machine, and the number of those that were dropped so far."""
         with self.exclusive:
             self._dropped = dropped
             if len(rows):
                 self._history.add_rows(rows)
 
-    def end(self, words: str) -> None:
+    def show_end(self, words: str) -> None:
         """Show that the machine has ended."""
         with self.exclusive:
             self._over, self._plotted_rows = words, -1
 
-    def draw(self) -> None:
+    def draw_rows(self) -> None:
         """Show what has come since the last call."""
         with self.exclusive:
             self._look_at_news()
@@ -142,7 +144,7 @@ class LivePage:
             now = time.monotonic()
             fresh = self._plotted_rows != self._history.count
             if fresh and self._at is None:
-                self.arm.show(self._history.newest["q"][0])
+                self.arm.show_arm(self._history.newest["q"][0])
             if (fresh or self._plotted_rows < 0) and now - self._plotted_at >= PLOTTED:
                 self._plotted_rows, self._plotted_at = self._history.count, now
                 self._show_moment()
@@ -182,7 +184,7 @@ class LivePage:
         if self._dropped:
             words.append(f"{self._dropped} ticks not shown: the page is too slow for them")
         if self._at is not None:
-            self.arm.show(row["q"][0])
+            self.arm.show_arm(row["q"][0])
         self._numbers.content = format_machine(
             scene.joint_names,
             q=row["q"][0],
@@ -218,7 +220,7 @@ class LivePage:
 
     # Changes by hand
 
-    def go(self, tick: int | None) -> None:
+    def go_to_tick(self, tick: int | None) -> None:
         """Show a tick of the past; None: the newest one, now and from now on."""
         with self.exclusive:
             newest = self._history.newest
@@ -227,7 +229,7 @@ class LivePage:
             self._at = None if tick is None or tick >= newest["tick"][0] else int(tick)
             self._show_moment()
 
-    def ask(self, what: str, *given: Any) -> str:
+    def request_action(self, what: str, *given: Any) -> str:
         """Do an action by its name, and show its answer; return "" if it was refused."""
         try:
             answer: str = self.hands.do_action(what, *given)
@@ -255,25 +257,25 @@ class LivePage:
             )
         if "step" in can:
             steps = gui.add_button_group("Step", tuple(STEPS))
-            steps.on_click(lambda event: self.ask("step", STEPS[event.target.value]))
+            steps.on_click(lambda event: self.request_action("step", STEPS[event.target.value]))
             for label, key, ticks in (("One tick on", "arrowright", 1), ("Ten on", "arrowup", 10)):
                 command = gui.add_command(label, hotkey=key)
-                command.on_trigger(lambda _, ticks=ticks: self.ask("step", ticks))
+                command.on_trigger(lambda _, ticks=ticks: self.request_action("step", ticks))
         if "rate" in can:
             labels = (label for label, factor in RATES.items() if factor == self.hands.factor)
             now = next(labels, None)
             rate = gui.add_dropdown("Times real time", tuple(RATES), initial_value=now)
-            rate.on_update(lambda _: self.ask("rate", RATES[read_choice(rate, RATES)]))
+            rate.on_update(lambda _: self.request_action("rate", RATES[read_choice(rate, RATES)]))
 
     def _switch_pause(self) -> None:
         pauses = self._pause_button.label == "Pause"
-        if self.ask("pause", pauses):
+        if self.request_action("pause", pauses):
             self._pause_button.label = "Play" if pauses else "Pause"
             if not pauses:
-                self.go(None)
+                self.go_to_tick(None)
 
     def _set_breakpoint(self) -> None:
-        self.ask("break_when", self._condition.value)
+        self.request_action("break_when", self._condition.value)
 
 
 NEWEST = 8000  # rows that are kept one by one

@@ -38,9 +38,9 @@ def _show_all(end: RowEnd, ring: SharedRing, page: LivePage) -> None:
     """Show rows until the run is over, whatever a browser has made of the controls."""
     reported = ""
     while not end.is_over(FRAME):
-        page.take(ring.take_rows(), ring.dropped)
+        page.take_rows(ring.take_rows(), ring.dropped)
         try:
-            page.draw()
+            page.draw_rows()
         except Exception as error:
             if reported != (reported := repr(error)):
                 print("page: not drawn", traceback.format_exc(), sep="\n", file=sys.stderr)

@@ -20,15 +20,15 @@ def add_machine_tab(page: Any, gui: Any, scene: Scene) -> None:
     can = page.hands.can()
     if "power" in can:
         buttons = gui.add_button_group("Power", ("on", "off"))
-        buttons.on_click(lambda event: page.ask("power", event.target.value == "on"))
+        buttons.on_click(lambda event: page.request_action("power", event.target.value == "on"))
     if "reset" in can:
-        gui.add_button("Reset").on_click(lambda _: page.ask("reset"))
+        gui.add_button("Reset").on_click(lambda _: page.request_action("reset"))
     if "set_varied" in can:
         _add_varied(page, gui, scene)
     if "save" in can:
         name = gui.add_text("Name of a machine", "here")
         both = gui.add_button_group("Machine", ("save", "restore"))
-        both.on_click(lambda event: page.ask(event.target.value, name.value))
+        both.on_click(lambda event: page.request_action(event.target.value, name.value))
     if "set_gain" in can:
         _add_gains(page, gui)
     if not can & {"power", "reset", "set_varied", "save", "set_gain"}:
@@ -45,7 +45,9 @@ def _add_varied(page: Any, gui: Any, scene: Scene) -> None:
             for name, value in numbers.items():
                 label = name.removeprefix(FAULTS)
                 box = gui.add_number(label, value, step=0.01 * abs(value) or 0.01)
-                box.on_update(lambda _, name=name, box=box: page.ask("set_varied", name, box.value))
+                box.on_update(
+                    lambda _, name=name, box=box: page.request_action("set_varied", name, box.value)
+                )
 
 
 def _add_gains(page: Any, gui: Any) -> None:
@@ -71,7 +73,9 @@ def _add_gains(page: Any, gui: Any) -> None:
                 choice.options, choice.value = names, names[0]
 
         def put_gain() -> None:
-            if choice.value in gains and page.ask("set_gain", choice.value, float(box.value)):
+            if choice.value in gains and page.request_action(
+                "set_gain", choice.value, float(box.value)
+            ):
                 gains[choice.value] = float(box.value)
 
         read.on_click(lambda _: fill_gains())
@@ -130,4 +134,4 @@ class TargetTab:
         if self._wxyz is None:
             self._wxyz = self._arm.wxyz_WT
         place = tuple(float(number) for number in self._place.value)
-        self._page.ask("aim", place, self._wxyz)
+        self._page.request_action("aim", place, self._wxyz)

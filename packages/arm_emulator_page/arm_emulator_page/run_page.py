@@ -127,7 +127,7 @@ class RunPage:
             if view is not None:
                 _check_alike(self._view, view)
             if self._arm_over is not None:
-                self._arm_over.remove()
+                self._arm_over.remove_arm()
                 self._arm_over = None
             self._over = view
             if view is not None:
@@ -288,11 +288,11 @@ class RunPage:
         if self._over is not None and self._arm_over is not None:
             line_over = self._over.line
             line_over.go_to(min(tick, self._over.last))
-            self._arm_over.show(line_over.run.session.state.q)
+            self._arm_over.show_arm(line_over.run.session.state.q)
             self.line.go_to(tick)  # forks take turns in one machine
         session = self._session
         state, names = session.state, session.scene.joint_names
-        self.arm.show(state.q)
+        self.arm.show_arm(state.q)
         if self._arm_over is not None:
             away = 1e3 * float(np.linalg.norm(self.arm.p_WT - self._arm_over.p_WT))
             apart = f", tools {away:.4g} mm apart"

@@ -26,5 +26,5 @@ def test_an_arm_without_readable_shapes_appears_as_its_tool(shape: str, words: s
     assert with_shapes.missing == "" and words in bare.missing
     assert bare.size == pytest.approx(with_shapes.size, rel=0.5)
     for arm in (with_shapes, bare):
-        arm.show(np.array(SCENE.start) + 0.3)
+        arm.show_arm(np.array(SCENE.start) + 0.3)
     np.testing.assert_array_equal(bare.p_WT, with_shapes.p_WT)

@@ -62,7 +62,7 @@ class Live:
 
     def take(self, dropped: int = 0) -> None:
         """Show the machine as it is."""
-        self.page.take(self._row.take_row(), dropped)
+        self.page.take_rows(self._row.take_row(), dropped)
 
     def advance(self, ticks: int) -> None:
         for _ in range(ticks):
@@ -72,7 +72,7 @@ class Live:
     def until(self, page: Any, holds: Any) -> None:
         """Draw, and advance as the page asks, until something holds."""
         for _ in range(PATIENCE // 100):
-            self.page.draw()
+            self.page.draw_rows()
             self.advance(self.hands.due)
             self.hands.due = 0
             if holds():
@@ -268,7 +268,7 @@ def test_a_browser_that_stops_reading_blocks_no_process_and_costs_no_memory(
         while received - begin < enough:
             assert time.monotonic() < deadline, f"{received} bytes came"
             live.advance(1)
-            live.page.draw()
+            live.page.draw_rows()
             time.sleep(0.005)  # lets the server's thread work
             if not begin and received > max_bytes:  # what any browser costs is there
                 begin, before = received, process.memory_info().rss
