@@ -78,7 +78,7 @@ def find_least(step: Callable[[], Any], repetitions: int) -> tuple[float, Any]:
     return min(times), result
 
 
-def measure(file: Path, device: str | None, count: int, repetitions: int) -> dict[str, float]:
+def measure_steps(file: Path, device: str | None, count: int, repetitions: int) -> dict[str, float]:
     """Return the microseconds of each step for a run, of so many runs."""
     campaign = load_campaign(file)
     simulator = BatchSimulator(campaign, device)
@@ -123,7 +123,7 @@ def main() -> None:
             files[name].write_text(yaml.safe_dump({**JUDGED, **campaign}, sort_keys=False))
         print(f"us per run{'':24}" + "".join(f"{name:>9}" for name in COLUMNS))
         for name, file in files.items():
-            row = measure(file, options.device, options.count, options.repetitions)
+            row = measure_steps(file, options.device, options.count, options.repetitions)
             print(f"{name:34}" + "".join(f"{row[column]:9.2f}" for column in COLUMNS))
 
 

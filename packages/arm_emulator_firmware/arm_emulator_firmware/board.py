@@ -171,7 +171,7 @@ class _Reader:
         return at
 
     def _read_memory(self, name: str, section: Section) -> Region:
-        return self._read_region(name, section, _choose(section, "kind", MEMORY, name))
+        return self._read_region(name, section, _choose_word(section, "kind", MEMORY, name))
 
     def _read_block(self, name: str, section: Section) -> Region:
         return self._read_region(name, section, "registers")
@@ -240,7 +240,7 @@ class _Reader:
         return {"at": at, **numbers}
 
     def _read_pwm(self, joint: str, section: Section) -> Row:
-        kind = _choose(section, "kind", BRIDGES)
+        kind = _choose_word(section, "kind", BRIDGES)
         counted = kind != "float"
         unipolar = kind == "unipolar"
         row: Row = {
@@ -263,7 +263,7 @@ class _Reader:
         return row
 
     def _read_pin(self, _name: str, section: Section) -> Row:
-        kind = _choose(section, "is", PINS)
+        kind = _choose_word(section, "is", PINS)
         joint = section.read_text("joint") if section.has_key("joint") else ""
         if joint:
             self._check_joint(section, "joint", joint)
@@ -350,7 +350,7 @@ class _Reader:
         return at
 
 
-def _choose(section: Section, key: str, values: tuple[str, ...], default: str = "") -> str:
+def _choose_word(section: Section, key: str, values: tuple[str, ...], default: str = "") -> str:
     """Return one of some words, which must be there unless the default is one of them."""
     value = section.read_choice(key, values, default)
     if value not in values:
