@@ -42,33 +42,34 @@ INSTEAD = {
     "asked": "requested", "what": "quantity",
 }  # fmt: skip
 VERBS = set(
-    """accelerate accept acquire activate add advance aim align allocate allow answer apply approach
-    approve arm arrange ask assemble assert attach attend begin bend bind blend block bound
-    brake break build bump calibrate call can cancel cap catch change check choose claim clamp
-    clean clear clip clone close coerce collect combine command compare compensate compile
-    complete compose compute configure connect consume contain continue convert copy correct
-    count create cut deactivate decide declare decode delete deliver derive describe destroy
-    detach detect determine differentiate digest disable discard discretise dismiss displace do
-    drain draw drive drop dump edit eliminate emit enable encode end ensure enter enumerate
-    escape estimate evaluate exchange execute exit expand expect explain export extend extract
-    extrapolate fail fetch fill filter finalise find finish fit flatten flush fold follow force
-    forget fork format free freeze gather generate get give go grow guard guess halt handle has
-    hide hold identify ignore import index infer inform init insert inspect install instruct
-    integrate interpolate invert is iterate join judge jump keep kill launch leave let limit
-    linearise link list listen load locate lock log look lower main make map mark match may
-    measure merge mirror mix modify monitor move multiply name normalise note notify observe
-    offer open order override pack pad parse pass pause perform permute place plan play plot
-    poll pop post predict prepare preprocess press print probe process project propagate publish
-    pull push put quantise query quit raise randomise reach read receive recompute record
-    recover reduce refine reflect refresh refuse register reject release relink reload remember
-    remove rename render repair repeat replace replay report request require rescale reserve
-    reset resolve respond restart restore resume retry retune return reverse rewind rotate round
-    run sample save scale scan schedule search see select send serve set settle shift shorten
-    show shrink shut simulate size skip sleep slow smooth solve sort spawn spin split stack
-    start state step stop store strip subscribe subtract suggest sum suppress sweep switch
-    synchronise take terminate test tick trace track transform translate transmit trigger
-    truncate try tune turn undo unite unlock unpack unregister update upload use validate vary
-    verify visit wait wake warm warn watch weigh withhold wrap write yield zero""".split()
+    """accelerate accept acquire activate add advance aim align allocate allow answer append apply
+    approach approve arm arrange ask assemble assert attach attend average begin bend bind blend
+    block boot bound brake break broadcast build bump calibrate call can cancel cap cast catch
+    change check choose claim clamp clean clear clip clone close coerce collect combine command
+    compare compensate compile complete compose compute configure connect consume contain continue
+    convert copy correct count create cut damage deactivate decide declare decode delete deliver
+    derive describe design destroy detach detect determine differentiate digest disable discard
+    discretise dismiss displace divide do download drain draw drive drop dump edit eliminate emit
+    enable encode end ensure enter enumerate escape estimate evaluate examine exchange execute exit
+    expand expect explain export extend extract extrapolate factor fail fetch fill filter finalise
+    find finish fit flatten flush fold follow force forget fork format free freeze gather generate
+    get give go group grow guard guess halt handle has hash hide hold identify ignore import index
+    infer inform init insert inspect install instruct integrate interpolate invert is iterate join
+    judge jump keep kill launch leave let limit linearise link list listen load locate lock log look
+    lower main make map mark match may measure merge mirror mix modify monitor move multiply name
+    normalise note notify observe offer open order override pack pad parse pass pause perform
+    permute place plan play plot poll pop post predict prepare preprocess press print probe process
+    project propagate publish pull push put quantise query quit quote raise randomise rank reach
+    read receive recompute record recover reduce refine reflect refresh refuse register reject
+    release relink reload remember remove rename render reorder repair repeat replace replay report
+    request require rescale reserve reset resolve respond restart restore resume retry retune return
+    reverse rewind rotate round run sample save scale scan schedule search see select send serve set
+    settle share shift shorten show shrink shut simulate size skip sleep slow smooth solve sort
+    spawn spin split spoil stack start state step stop store strip submit subscribe subtract suggest
+    sum suppress swap sweep switch synchronise synchronize take terminate test tick trace track
+    transform translate transmit trigger truncate try tune turn undo unite unlock unpack unregister
+    update upload use validate vary verify visit wait wake warm warn watch weigh withhold wrap write
+    yield zero""".split()
 )
 OF_LIBRARIES = {"closed", "destroy_subscription", "beginning_execution"}  # which call these names
 TYPE_LINE = re.compile(
