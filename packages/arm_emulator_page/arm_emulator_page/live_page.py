@@ -29,8 +29,8 @@ RATES = {"as fast as possible": 0.0, "1": 1.0, "0.25": 0.25, "0.1": 0.1, "0.01":
 class LivePage:
     """Serves a running machine to browsers until it is closed.
 
-    Its owner gives it rows by `take_rows`, and lets it draw by `draw_rows`, some times a second. All browsers
-    see the same moment.
+    Its owner gives it rows by `take_rows`, and lets it draw by `draw_rows`, some times a second.
+    All browsers see the same moment.
 
     Attributes:
         url: address with the token.
