@@ -18,7 +18,7 @@ from arm_emulator.machine.plant.compiler import (
 )
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.toolchain.unit import Unit
-from arm_emulator_fieldbus.ethercat import make_ethercat_unit
+from arm_emulator_fieldbus.ethercat import ethercat_unit
 from arm_emulator_firmware.microcontroller import make_runner_unit
 from arm_emulator_fleet.unit import build_fleet_unit
 from arm_emulator_fmu.unit import VERSIONS, make_unit
@@ -42,7 +42,7 @@ def units() -> Iterator[Unit]:
     yield build_equations_unit(scene)
     yield build_fleet_unit(scene)
     yield build_real_time_unit()
-    yield make_ethercat_unit()
+    yield ethercat_unit()
     yield make_runner_unit()
     for version in VERSIONS:
         fmu, _ = make_unit(scene, list_variables(scene), version)

@@ -23,9 +23,9 @@ from arm_emulator.servo.servo_law import make_servo_unit
 from arm_emulator.tick.c import tick_unit
 from arm_emulator.toolchain.compiler_command import find_compiler
 from arm_emulator.toolchain.unit import Unit
-from arm_emulator_campaign.program import make_judges_unit
-from arm_emulator_campaign.signals import make_sampler_unit
-from arm_emulator_fieldbus.drives_unit import make_drives_unit
+from arm_emulator_campaign.program import judges_unit
+from arm_emulator_campaign.signals import sampler_unit
+from arm_emulator_fieldbus.drives_unit import drives_unit
 from arm_emulator_fleet.unit import build_fleet_unit
 from emulator_node.c import make_answered_ticks_unit, make_real_time_ticks_unit
 from servo_node.c import make_answered_states_unit
@@ -80,14 +80,14 @@ def test_our_libraries_call_their_own_functions(tmp_path: Path) -> None:
         build_machine_unit(scene),
         build_equations_unit(scene),
         build_fleet_unit(scene),
-        make_drives_unit("drives"),
+        drives_unit("drives"),
         make_servo_unit(),
     )
     units += make_servo_step_unit(), tick_unit(), build_real_time_unit(), build_record_ring_unit()
     units += (
         build_formula_unit(),
-        make_judges_unit(),
-        make_sampler_unit(),
+        judges_unit(),
+        sampler_unit(),
         make_answered_ticks_unit(),
         make_real_time_ticks_unit(),
         make_answered_states_unit(),

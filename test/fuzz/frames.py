@@ -17,7 +17,7 @@ from arm_emulator.core import BOUNDARY
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.toolchain.c_header import Header, Library, read_text
 from arm_emulator.toolchain.unit import load_library as compiled
-from arm_emulator_fieldbus.drives_unit import DRIVES_CORE, make_drives_unit
+from arm_emulator_fieldbus.drives_unit import DRIVES_CORE, drives_unit
 from arm_emulator_fieldbus.ethercat import SEGMENT, Segment
 from fuzz.line import FAILED, REFUSED, TAKEN, report
 
@@ -31,7 +31,7 @@ def library() -> Library:
     """Return drives, segment and what makes the frames, in one library."""
     source = '#include "ethercat/ethercat.cpp"\n' + FUZZ.path.read_text() + _SOURCE.read_text()
     about = "the EtherCAT segment and its frames"
-    return compiled(make_drives_unit("ethercat-fuzz", source, (SEGMENT, FUZZ), about))
+    return compiled(drives_unit("ethercat-fuzz", source, (SEGMENT, FUZZ), about))
 
 
 def case(seed: int, number: int, frames: int = FRAMES) -> dict[str, int]:

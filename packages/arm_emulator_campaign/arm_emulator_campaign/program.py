@@ -28,7 +28,7 @@ JUDGES = Header(HERE / "judges.h", (HERE, BOUNDARY_FOLDER))
 BLOCK = FORMULA_HEADER.get_constant("FORMULA_BLOCK")
 
 
-def make_judges_unit() -> Unit:
+def judges_unit() -> Unit:
     """Return the sources of the program."""
     parts = "formula.c", "robustness.c", "judges.c"
     source = "".join(f'#include "{part}"\n' for part in parts)
@@ -39,7 +39,7 @@ def make_judges_unit() -> Unit:
     )
 
 
-judges = compile_once(make_judges_unit)
+judges = compile_once(judges_unit)
 
 
 class Rows(FormulaRows):

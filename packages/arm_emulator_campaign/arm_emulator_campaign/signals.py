@@ -41,7 +41,7 @@ SAMPLER = Header(HERE / "sampler.h", (BOUNDARY_FOLDER, FLEET_FOLDER))
 _KINDS = {"f8": "DOUBLE", "i8": "INT64", "u4": "UINT32"}
 
 
-def make_sampler_unit() -> Unit:
+def sampler_unit() -> Unit:
     """Return the sources of the sampler."""
     part = "sampler.c"
     source, about = f'#include "{part}"\n', "the samples of campaigns"
@@ -49,7 +49,7 @@ def make_sampler_unit() -> Unit:
     return Unit("sampler", source, C_FLAGS, folders, (SAMPLER,), "campaign", about, part)
 
 
-_sampler = compile_once(make_sampler_unit)
+_sampler = compile_once(sampler_unit)
 
 
 def list_signal_units(scene: Scene) -> dict[str, str]:

@@ -151,7 +151,9 @@ def test_runs_judged_on_a_device_equal_those_in_lanes(
     pieces = []
     take = DeviceProgram.take_samples
     monkeypatch.setattr(
-        DeviceProgram, "take", lambda self, *piece: pieces.append(piece) or take(self, *piece)
+        DeviceProgram,
+        "take_samples",
+        lambda self, *piece: pieces.append(piece) or take(self, *piece),
     )
     there = make_simulator(campaign, "processor")
     rows = rows_of(

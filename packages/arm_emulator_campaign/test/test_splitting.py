@@ -221,10 +221,10 @@ class Here:
         future.set_result(function(*arguments))
         return future
 
-    def check(self):
+    def check_scheduler(self):
         pass
 
-    def end(self):
+    def end_workers(self):
         pass
 
 

@@ -27,7 +27,7 @@ class APool:
     breaks = (Killed,)
     ended = 0
 
-    def end(self):
+    def end_workers(self):
         self.ended += 1
 
 

@@ -24,7 +24,7 @@ from arm_emulator_fieldbus.object_dictionary import (
     SIGNED,
     Aborted,
     ObjectEntry,
-    list_all_modes,
+    modes,
     read_entries,
 )
 
@@ -76,7 +76,7 @@ class Drives:
         scene = plant.scene
         check_servo(scene, servo)
         self._joints = _make_joints(scene, servo)
-        self.withheld = list_withheld_modes(scene, servo, list_all_modes())
+        self.withheld = list_withheld_modes(scene, servo, modes())
         for loop in self.withheld:
             self._joints["modes"][loop.joint] &= 0xFFFFFFFF ^ 1 << loop.mode.number - 1
         names = [_make_text(name) for name in (*scene.joint_names, scene.name)]
@@ -289,7 +289,7 @@ def _make_joints(scene: Scene, servo: ServoConfig) -> ServoRows:
         row["stops"] = joint.stops is not None
         row["mode"] = takes
         row["motor_type"] = 0 if joint.motor is None else joint.motor.cia_type
-        row["modes"] = sum(1 << mode.number - 1 for mode in list_all_modes())
+        row["modes"] = sum(1 << mode.number - 1 for mode in modes())
     return rows
 
 

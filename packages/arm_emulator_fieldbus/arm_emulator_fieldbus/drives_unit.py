@@ -27,7 +27,7 @@ ETHERCAT, CANOPEN = map(DRIVES.get_constant, ("DRIVES_ETHERCAT", "DRIVES_CANOPEN
 UNITS = DRIVES.get_constant("DRIVES_UNITS")
 
 
-def make_drives_unit(
+def drives_unit(
     name: str = "drives",
     source: str = "",
     headers: tuple[Header, ...] = (),
@@ -53,4 +53,4 @@ def make_drives_unit(
     )
 
 
-drives_library = compile_once(make_drives_unit)
+drives_library = compile_once(drives_unit)

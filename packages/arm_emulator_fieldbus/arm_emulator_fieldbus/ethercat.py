@@ -16,7 +16,7 @@ from arm_emulator.extension.compiler import (
 from arm_emulator.extension.machine import Plant, Scene
 from arm_emulator.extension.runs import ServoConfig
 from arm_emulator_fieldbus.drives import Drives
-from arm_emulator_fieldbus.drives_unit import DRIVES_CORE, ETHERCAT, make_drives_unit
+from arm_emulator_fieldbus.drives_unit import DRIVES_CORE, ETHERCAT, drives_unit
 
 MEMORY = 0x3000  # bytes of a slave
 LONGEST = 2048  # bytes of a frame that `Segment.exchange_frame` takes
@@ -24,13 +24,13 @@ LONGEST = 2048  # bytes of a frame that `Segment.exchange_frame` takes
 SEGMENT = Header(DRIVES_CORE / "ethercat/ethercat.h", (DRIVES_CORE, *TICK_FOLDERS, SERVO_FOLDER))
 
 
-def make_ethercat_unit() -> Unit:
+def ethercat_unit() -> Unit:
     """Return drives and segment as a unit to compile."""
     source = '#include "ethercat/ethercat.cpp"\n'
-    return make_drives_unit("ethercat", source, (SEGMENT,), "the EtherCAT segment")
+    return drives_unit("ethercat", source, (SEGMENT,), "the EtherCAT segment")
 
 
-ethercat_library = compile_once(make_ethercat_unit)
+ethercat_library = compile_once(ethercat_unit)
 
 
 class Segment:

@@ -101,7 +101,7 @@ def read_entries(calls: Library) -> Iterator[ObjectEntry]:
 
 
 @cache
-def list_all_modes() -> tuple[LoopMode, ...]:
+def modes() -> tuple[LoopMode, ...]:
     """Return all modes of operation that drives have, see core/modes/modes.hpp."""
     return tuple(_read_modes(drives_library()))
 

@@ -26,7 +26,7 @@ from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.design.joint_gains import GearData, MotorData, compute_gains, make_joint_servo
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.servo.servo_config import ServoConfig
-from arm_emulator_fieldbus.object_dictionary import Aborted, list_all_modes, list_entries
+from arm_emulator_fieldbus.object_dictionary import Aborted, list_entries, modes
 from bench.modes import PAGE, make_modes_table
 from oracles.any_arm import list_arms
 
@@ -53,7 +53,7 @@ def by_voltage(more: dict[str, Any] | None = None) -> tuple[Scene, ServoConfig]:
 @pytest.mark.parametrize("name", with_slow(some(SHIPPED, 2), 1))
 def test_every_mode_of_the_shipped_arms_is_offered_and_holds(name: str) -> None:
     scene, servo = shipped(name)
-    assert list_withheld_modes(scene, servo, list_all_modes()) == []
+    assert list_withheld_modes(scene, servo, modes()) == []
     loops = {
         (figure.joint, figure.loop, figure.braked) for figure in ModeLoops(scene, servo).figures
     }
@@ -80,7 +80,7 @@ def test_torques_are_as_requested_on_new_arms() -> None:
             except Refusal:
                 continue  # is no arm
             scene, servo = load_scene(file), load_gains(file).servo
-            withheld = list_withheld_modes(scene, servo, list_all_modes())
+            withheld = list_withheld_modes(scene, servo, modes())
             bad += describe_withheld_modes(scene, withheld)
             if not any(loop.mode.number in (PROFILE_TORQUE, CYCLIC_TORQUE) for loop in withheld):
                 bad += list(faults(scene, servo))
@@ -92,7 +92,7 @@ def test_torques_are_as_requested_on_new_arms() -> None:
 @pytest.mark.slow
 def test_modes_that_do_not_hold_are_not_offered_and_refused() -> None:
     scene, servo = by_voltage()
-    withheld = list_withheld_modes(scene, servo, list_all_modes())
+    withheld = list_withheld_modes(scene, servo, modes())
     withheld_of = {(loop.joint, loop.mode.number) for loop in withheld}
     assert withheld_of == {(j, mode) for j in range(6) for mode in (PROFILE_TORQUE, CYCLIC_TORQUE)}
     drives = enabled(scene, servo)
@@ -284,7 +284,7 @@ def test_the_page_has_the_table_of_every_mode(name: str) -> None:
 
 def test_modes_are_those_of_cia_402_and_of_the_dictionary() -> None:
     position, speed, torque, limit = Loop.POSITION, Loop.SPEED, Loop.TORQUE, Loop.SPEED_LIMIT
-    assert {mode.number: (mode.name, mode.loops) for mode in list_all_modes()} == {
+    assert {mode.number: (mode.name, mode.loops) for mode in modes()} == {
         1: ("profile position", (position,)),
         3: ("profile velocity", (speed,)),
         4: ("profile torque", (torque, limit)),
@@ -294,5 +294,5 @@ def test_modes_are_those_of_cia_402_and_of_the_dictionary() -> None:
         10: ("cyclic torque", (torque, limit)),
     }
     (supported,) = (entry for entry in list_entries() if entry.index == 0x6502)
-    assert supported.standard == sum(1 << mode.number - 1 for mode in list_all_modes())
+    assert supported.standard == sum(1 << mode.number - 1 for mode in modes())
     assert isinstance(LoopFigure.is_stable, property)

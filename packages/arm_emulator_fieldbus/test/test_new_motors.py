@@ -17,7 +17,7 @@ from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.scene.known_parts import SIZED_MOTORS
 from arm_emulator.runs.gains import check_fit
-from arm_emulator_fieldbus.object_dictionary import list_all_modes
+from arm_emulator_fieldbus.object_dictionary import modes
 from oracles.any_arm import draw_reachable, list_arms, move_arm
 from oracles.own_robots import OWN
 
@@ -75,7 +75,7 @@ def test_an_arm_with_it_goes_where_it_is_sent_and_takes_torques(
         assert pair is not None
         motion = move_arm(scene, gains, "50 mm", *pair)
         assert not motion.words, motion.words
-    assert list_withheld_modes(scene, gains.servo, list_all_modes()) == []
+    assert list_withheld_modes(scene, gains.servo, modes()) == []
     if FULL:
         assert list(faults(scene, gains.servo)) == []
         assert tune_scene(str(written.file), write=True) == 0

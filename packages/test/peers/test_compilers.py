@@ -30,10 +30,10 @@ from arm_emulator.servo.servo_law import make_servo_unit
 from arm_emulator.tick.c import tick_unit
 from arm_emulator.toolchain.compiler_command import identify_compiler
 from arm_emulator.toolchain.unit import Unit
-from arm_emulator_campaign.program import make_judges_unit
-from arm_emulator_campaign.signals import make_sampler_unit
-from arm_emulator_fieldbus.drives_unit import make_drives_unit
-from arm_emulator_fieldbus.ethercat import make_ethercat_unit
+from arm_emulator_campaign.program import judges_unit
+from arm_emulator_campaign.signals import sampler_unit
+from arm_emulator_fieldbus.drives_unit import drives_unit
+from arm_emulator_fieldbus.ethercat import ethercat_unit
 from arm_emulator_fleet.unit import build_fleet_unit
 from arm_emulator_fmu.unit import make_unit
 from arm_emulator_fmu.variables import list_scalars, list_variables
@@ -103,10 +103,10 @@ def units(folder: Path) -> Iterator[Unit]:
     yield from (
         build_record_ring_unit(),
         build_formula_unit(),
-        make_judges_unit(),
-        make_sampler_unit(),
+        judges_unit(),
+        sampler_unit(),
     )
-    yield from (make_drives_unit(), make_ethercat_unit())
+    yield from (drives_unit(), ethercat_unit())
     yield from (
         make_middleware_unit(),
         make_answered_ticks_unit(),
