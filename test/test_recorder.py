@@ -208,7 +208,7 @@ def in_lock_step(file: Path) -> tuple[Plant, Callable[[], None]]:
 
 def on_canopen(file: Path) -> tuple[Plant, Callable[[], None]]:
     segment = load_segment("three_axis")
-    return segment.drives.plant, lambda: segment.drives.advance_periods(500)
+    return segment.drives.plant, lambda: segment.drives.period(500)
 
 
 def on_ethercat(file: Path) -> tuple[Plant, Callable[[], None]]:

@@ -197,7 +197,7 @@ def test_targets_of_drives_are_those_of_shafts(machine: Machine) -> None:
     per_count = 2.0 * np.pi * scene.gear_ratios / [joint.counts_per_turn for joint in scene.joints]
     joints = range(len(scene.joints))
     enable(drives, CSP)
-    drives.advance_periods(500)
+    drives.period(500)
     begun = np.array([drives.read(j, TARGET) for j in joints])
     assert begun * per_count == pytest.approx(truth(drives, "q"), abs=0.02)
     for j in joints:
@@ -207,8 +207,8 @@ def test_targets_of_drives_are_those_of_shafts(machine: Machine) -> None:
         goal = begun[j] + round(0.1 / per_count[j])
         for k in range(1, 401):
             drives.write(j, TARGET, begun[j] + round(0.1 * k / 400 / per_count[j]))
-            drives.advance_periods()
-        drives.advance_periods(600)
+            drives.period()
+        drives.period(600)
         reached = min(goal, limit) if per_count[j] > 0 else max(goal, limit)
         assert truth(drives, "q")[j] == pytest.approx(reached * per_count[j], abs=0.02)
         assert np.abs(np.delete(truth(drives, "q") - before, j)).max() < 0.02

@@ -216,10 +216,10 @@ class ByDrives(OfPlant):
         self.wait()
 
     def wait(self) -> None:
-        self.drives.advance_periods()
+        self.drives.period()
 
     def run(self, periods: int) -> None:
-        self.drives.advance_periods(periods)
+        self.drives.period(periods)
 
     def cut(self) -> str:
         words = super().cut()

@@ -341,7 +341,7 @@ def test_drives_on_a_bus_have_every_output(scene: Scene) -> None:
         if tick == 140:
             drives.write(1, 0x60FE, 1, 2)
             drives.write(1, 0x60FE, 1, 1)
-        drives.advance_periods()
+        drives.period()
         if tick == 150:
             drives.restart_drive(0)
         elif 3 < tick < 140:

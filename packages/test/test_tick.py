@@ -108,7 +108,7 @@ def by_control_code(command: np.ndarray) -> Door:
 def by_drives(command: np.ndarray) -> Door:
     """A field bus without a master: its drives are not enabled, and their commands are 0."""
     drives = Drives(Plant(SCENE), load_gains(find_scene("three_axis")).servo, ETHERCAT)
-    return Door(drives.plant, drives.advance_periods, drives)
+    return Door(drives.plant, drives.period, drives)
 
 
 def by_clock(command: np.ndarray) -> Door:

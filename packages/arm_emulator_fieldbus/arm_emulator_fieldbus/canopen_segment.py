@@ -121,7 +121,7 @@ class CanSegment:
         """
         if self.fault is None:
             try:
-                self.drives.advance_periods()
+                self.drives.period()
             except Diverged as fault:
                 self.fault = fault
         now = self.now

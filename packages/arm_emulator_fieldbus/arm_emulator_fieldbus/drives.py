@@ -148,10 +148,10 @@ class Drives:
         self.calls.drives_restore(self.pointer, saved.drives)
 
     def advance(self, ticks: int) -> None:
-        """Advance by so many servo periods, as a run of `Timeline`; see `advance_periods`."""
-        self.advance_periods(ticks)
+        """Advance by so many servo periods, as a run of `Timeline`; see `period`."""
+        self.period(ticks)
 
-    def advance_periods(self, periods: int = 1) -> None:
+    def period(self, periods: int = 1) -> None:
         """Advance by so many servo periods.
 
         Raises:

@@ -19,7 +19,7 @@ from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import DRIVES_CORE, ETHERCAT, drives_unit
 
 MEMORY = 0x3000  # bytes of a slave
-LONGEST = 2048  # bytes of a frame that `Segment.exchange_frame` takes
+LONGEST = 2048  # bytes of a frame that `Segment.frame` takes
 
 SEGMENT = Header(DRIVES_CORE / "ethercat/ethercat.h", (DRIVES_CORE, *TICK_FOLDERS, SERVO_FOLDER))
 
@@ -69,7 +69,7 @@ class Segment:
         if pointer:
             self._calls.ethercat_delete(pointer)
 
-    def exchange_frame(self, frame: bytes, now: int = 0) -> bytes:
+    def frame(self, frame: bytes, now: int = 0) -> bytes:
         """Pass an Ethernet frame through the slaves; return the reply, empty without one.
 
         Args:

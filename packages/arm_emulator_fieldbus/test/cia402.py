@@ -67,7 +67,7 @@ def state(drives: Drives, j: int = 0) -> str:
 def command(drives: Drives, word: int, periods: int = 1) -> None:
     for j in range(len(drives.plant.scene.joints)):
         drives.write(j, CONTROL, word)
-    drives.advance_periods(periods)
+    drives.period(periods)
 
 
 def enable(drives: Drives, mode: int) -> None:
@@ -81,7 +81,7 @@ def enable(drives: Drives, mode: int) -> None:
     for _ in range(1000):
         if all(state(drives, j) == "operation enabled" for j in joints):
             return
-        drives.advance_periods()
+        drives.period()
     raise AssertionError("the drives are not enabled after a second")
 
 
@@ -90,7 +90,7 @@ def until(drives: Drives, done: Callable[[], bool], max_periods: int = 5000) -> 
     for periods in range(max_periods):
         if done():
             return periods
-        drives.advance_periods()
+        drives.period()
     raise AssertionError(f"it is not so after {max_periods} periods")
 
 
@@ -101,9 +101,9 @@ def truth(drives: Drives, name: str) -> np.ndarray:
 def set_point(drives: Drives, target: int, bits: int = 0, j: int = 0) -> None:
     """The handshake of profile position."""
     drives.write(j, CONTROL, ENABLE | bits)
-    drives.advance_periods()
+    drives.period()
     assert not drives.read(j, STATUS) & BIT12, "set-point acknowledge before"
     drives.write(j, TARGET, target)
     drives.write(j, CONTROL, ENABLE | bits | 0x10)
-    drives.advance_periods()
+    drives.period()
     assert drives.read(j, STATUS) & BIT12, "set-point acknowledge"

@@ -75,7 +75,7 @@ class Master:
         self._counter = [0] * self.slaves
 
     def send(self, *datagrams: tuple[int, int, bytes]) -> list[tuple[bytes, int]]:
-        return read_replies(self.segment.exchange_frame(frame(*datagrams), self.now))
+        return read_replies(self.segment.frame(frame(*datagrams), self.now))
 
     def one(self, command: int, address: int, data: bytes) -> tuple[bytes, int]:
         return self.send((command, address, data))[0]

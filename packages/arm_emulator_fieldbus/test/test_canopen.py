@@ -192,7 +192,7 @@ def test_a_motion_by_frames_is_that_of_the_drives(
         for k in range(3):
             drives.write(k, 0x6060, mode)
             drives.write(k, 0x6040, word)
-        drives.advance_periods()
+        drives.period()
     start = [drives.read(k, 0x6064) for k in range(3)]
     counts = 0.3 * 1024 / (2 * np.pi) / scene.gear_ratios  # 0.3 rad
     turning = 2 * np.pi * rng.uniform(0.3, 1.0, 3)
@@ -212,7 +212,7 @@ def test_a_motion_by_frames_is_that_of_the_drives(
             assert reported == (drives.read(k, 0x6041), drives.read(k, actual)), f"at SYNC {tick}"
             drives.write(k, 0x6040, 15)
             drives.write(k, target, position)
-        drives.advance_periods()
+        drives.period()
         if mode == 8:  # 0.004 rad at the link, some periods' way
             assert all(abs(drives.read(k, actual) - targets[k]) < 60 for k in range(3))
     assert segment.drives.plant.save() == drives.plant.save()
@@ -273,7 +273,7 @@ def test_a_machine_that_diverged_stays_and_its_nodes_answer(
     def diverge() -> None:
         raise diverged
 
-    monkeypatch.setattr(segment.drives, "advance_periods", diverge)
+    monkeypatch.setattr(segment.drives, "period", diverge)
     for _ in range(3):
         assert sent(segment.receive_frame(SYNC), 0x281), "SYNC is answered"
     assert segment.fault is diverged and segment.tick == 1

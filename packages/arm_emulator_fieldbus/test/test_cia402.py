@@ -159,7 +159,7 @@ def test_random_accesses_crash_nothing_and_refused_ones_change_nothing() -> None
     assert {key: drives.upload_entry(0, *key) for key in entries} == model, "the whole dictionary"
     assert min(taken, refused) > 2_000, f"{taken} taken, {refused} refused"
     # The drive runs with any settings.
-    drives.advance_periods(100)
+    drives.period(100)
 
 
 def test_a_mapping_is_taken_only_in_full_and_only_of_mappable_objects() -> None:
@@ -247,7 +247,7 @@ def bring(drives: Drives, where: str) -> None:
         command(drives, word)
     if where == "fault":
         drives.report_loss()
-        drives.advance_periods(2)  # to a stand
+        drives.period(2)  # to a stand
     assert {state(drives, j) for j in range(N)} == {where}, "where the drives were brought"
 
 
@@ -265,10 +265,10 @@ def test_every_state_takes_every_command_as_the_table_states() -> None:
                     for step in (SHUTDOWN, SWITCH_ON, ENABLE):
                         command(drives, before | step)
                     drives.report_loss()
-                    drives.advance_periods(2)
+                    drives.period(2)
             reported = command_of(word, before, where)
             drives.write(0, CONTROL, word)
-            drives.advance_periods()
+            drives.period()
             transition, after = TABLE.get((where, reported), (0, where))
             assert state(drives) == after, f"from {where} by 0x{word:02x} after 0x{before:02x}"
             transitions.add(transition)
@@ -336,11 +336,11 @@ def test_random_commands_options_and_losses_lead_where_a_model_states(seed: int)
             if not model.powered:
                 model.lose_power()
             model.take(model.word)  # which is still there
-            drives.advance_periods()
-        drives.advance_periods(4)
+            drives.period()
+        drives.period(4)
         word = rng.choice(likely) if rng.random() < 0.8 else rng.randrange(256)
         drives.write(0, CONTROL, word)
-        drives.advance_periods(5)
+        drives.period(5)
         model.take(word)
         assert state(drives) == model.state, f"after word {k}, 0x{word:02x}, {model.options}"
         states.add(model.state)
@@ -380,7 +380,7 @@ def test_the_same_words_give_the_same_bits() -> None:
                 drives.write(j, TARGET, drives.read(j, ACTUAL) + rng.randrange(-50, 50))
                 drives.write(j, 0x60FF, rng.randrange(-2000, 2000))
                 drives.write(j, 0x6071, rng.randrange(-50, 50))
-            drives.advance_periods()
+            drives.period()
             reported.append(drives.upload_entry(0, ACTUAL) + drives.upload_entry(1, STATUS))
         return drives.plant.save(), reported
 

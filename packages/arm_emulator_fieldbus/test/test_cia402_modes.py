@@ -75,7 +75,7 @@ def test_cyclic_position_is_our_own_servo_to_the_last_bit(name: str, feedforward
             target = start + np.round(swing * (1.0 - math.cos(0.003 * k)))
             for j in joints:
                 drives.write(j, TARGET, int(target[j]))
-            drives.advance_periods()
+            drives.period()
         speed = speed + ((target - position) / T - speed) * (T / (T + smoothing))
         position = target
         q = (position + 0.5) * count_angle * ratio
@@ -104,7 +104,7 @@ def test_targets_that_come_slower_are_joined_by_lines() -> None:
         goal = before + rng.randrange(-200, 200)
         drives.write(0, TARGET, goal)
         for k in range(1, 9):
-            drives.advance_periods()
+            drives.period()
             line = before + (goal - before) * k / 8
             assert abs(drives.read(0, 0x6062) - line) <= 0.5 + 1e-9, "demand, a whole number"
         before = goal
@@ -129,7 +129,7 @@ def test_cyclic_position_goes_on_beyond_32_bits() -> None:
     for k in range(400):
         at = 2**31 - 50 + k
         drives.write(0, TARGET, at if at < 2**31 else at - 2**32)
-        drives.advance_periods()
+        drives.period()
     until(drives, lambda: drives.read(0, ACTUAL) == -(2**31) + 349)
     assert drives.read(0, ERROR) == 0, "no following error on the way"
 
@@ -141,16 +141,14 @@ def test_cyclic_velocity_moves_the_motor_at_the_speed() -> None:
     for j, speed in enumerate((9000, -6000, 3000)):
         drives.write(j, 0x60FF, speed - 500)
         drives.write(j, 0x60B1, 500)
-    drives.advance_periods(2000)
+    drives.period(2000)
     turned = truth(drives, "theta_m")
-    drives.advance_periods(1000)
+    drives.period(1000)
     mean = (truth(drives, "theta_m") - turned) * per_rad
     # Over a second the arm's elasticity swings by less than a hundredth of the speed.
     np.testing.assert_allclose(mean, [9000, -6000, 3000], rtol=0.01, err_msg="mean speeds")
     for j, speed in enumerate((9000, -6000, 3000)):
-        reported = np.mean(
-            [drives.read(j, 0x606C) for _ in range(50) if not drives.advance_periods()]
-        )
+        reported = np.mean([drives.read(j, 0x606C) for _ in range(50) if not drives.period()])
         assert reported == pytest.approx(speed, rel=0.02), "velocity actual value, a mean of 50"
         assert drives.read(j, STATUS) & BIT12, "the drive follows"
 
@@ -165,7 +163,7 @@ def test_cyclic_torque_gives_that_torque() -> None:
         for j in range(N):
             drives.write(j, 0x6071, torque[j] + 10)
             drives.write(j, 0x60B2, -10)
-        drives.advance_periods(12)
+        drives.period(12)
         at = truth(drives, "current") / 0.02
         # Speeds are observed through a coarse encoder: 1 rad/s of the motor is 0.05 V, 0.05 A.
         np.testing.assert_allclose(at, torque, atol=12.0, err_msg="current in 0.1 %")
@@ -216,7 +214,7 @@ def test_a_profile_arrives_when_its_trapezoid_states(seed: int) -> None:
     predicted = duration(distance, 0.0, speed, up, down)
     if seed >= 4:
         spent += (some := int(rng.uniform(0.1, 0.9) * predicted * speed / (speed + up) / T))
-        drives.advance_periods(some)
+        drives.period(some)
         x, v = 0.5 * up * (spent * T) ** 2, up * spent * T
         if v > speed or x + v * v / (2.0 * down) > distance:
             pytest.skip("it does not speed up any more")
@@ -226,7 +224,7 @@ def test_a_profile_arrives_when_its_trapezoid_states(seed: int) -> None:
         # A period passes until the bit is low, another until the set-point is taken.
         drives.write(0, CONTROL, ENABLE | 0x20)
         drives.write(0, TARGET, start + sign * int(new))
-        drives.advance_periods()
+        drives.period()
         spent += 1
         x, v = 0.5 * up * (spent * T) ** 2, up * spent * T
         stop = v * v / (2.0 * down)
@@ -237,7 +235,7 @@ def test_a_profile_arrives_when_its_trapezoid_states(seed: int) -> None:
             back = duration(x + stop - new, 0.0, speed, up, down)
             predicted = spent * T + v / down + back
         drives.write(0, CONTROL, ENABLE | 0x30)
-        drives.advance_periods()
+        drives.period()
         spent += 1
         distance = int(new)
     end = start + sign * distance
@@ -258,21 +256,21 @@ def test_profiles_follow_in_sequence_or_change_at_once() -> None:
     start = drives.read(0, ACTUAL)
     drives.write(0, 0x6065, 0xFFFFFFFF)
     set_point(drives, start + 3000)
-    drives.advance_periods(50)
+    drives.period(50)
     set_point(drives, start + 1000)  # waits for the first
     assert not drives.read(0, STATUS) & REACHED, "target reached, with one more to go"
     highest = 0
     for _ in range(4000):
-        drives.advance_periods()
+        drives.period()
         highest = max(highest, drives.read(0, 0x6062))
     assert highest == start + 3000, "the first is reached"
     assert drives.read(0, 0x6062) == start + 1000, "then the second"
     set_point(drives, start + 5000)
-    drives.advance_periods(50)
+    drives.period(50)
     set_point(drives, start - 200, 0x20)
     at = drives.read(0, 0x6062)
     assert at < start + 4000, "it is on its way"
-    positions = [drives.read(0, 0x6062) for _ in range(4000) if not drives.advance_periods()]
+    positions = [drives.read(0, 0x6062) for _ in range(4000) if not drives.period()]
     assert max(positions) < start + 4900, "it turns round before the first is reached"
     assert positions[-1] == start - 200, "and goes to the second"
     # No jump in speed: its differences change by the accelerations at most.
@@ -285,16 +283,16 @@ def test_halt_interrupts_a_profile_and_lets_it_go_on() -> None:
     enable(drives, PP)
     start = drives.read(0, ACTUAL)
     set_point(drives, start + 6000)
-    drives.advance_periods(100)
+    drives.period(100)
     drives.write(0, CONTROL, ENABLE | 0x10 | HALT)
-    drives.advance_periods(2000)
+    drives.period(2000)
     rest = drives.read(0, 0x6062)
     assert start < rest < start + 5900, "where it halts"
     assert drives.read(0, STATUS) & REACHED, "it stands"
-    drives.advance_periods(100)
+    drives.period(100)
     assert drives.read(0, 0x6062) == rest, "it goes on standing"
     drives.write(0, CONTROL, ENABLE | 0x10)
-    drives.advance_periods(4000)
+    drives.period(4000)
     assert drives.read(0, 0x6062) == start + 6000, "it has gone on"
 
 
@@ -312,7 +310,7 @@ def test_halt_stops_every_mode_and_lets_it_go_on(mode: int, option: int) -> None
         for _ in range(periods):
             at += 4
             drives.write(0, TARGET, at)
-            drives.advance_periods()
+            drives.period()
 
     drives.write(0, 0x60FF, 4000)
     drives.write(0, 0x6071, 60)
@@ -321,9 +319,9 @@ def test_halt_stops_every_mode_and_lets_it_go_on(mode: int, option: int) -> None
     drives.write(0, CONTROL, ENABLE | HALT)
     # Profile torque lets the torque go instead: the friction of the arm slows it down.
     until(drives, lambda: bool(drives.read(0, STATUS) & REACHED))
-    drives.advance_periods(500)
+    drives.period(500)
     rest = drives.read(0, ACTUAL)
-    drives.advance_periods(500)
+    drives.period(500)
     moved = abs(drives.read(0, ACTUAL) - rest)
     assert moved < 20 or mode == TQ, "counts by which it still moves"
     assert drives.read(0, STATUS) & BIT12 == 0 or mode == PV, "it follows no command, or stands"
@@ -356,7 +354,7 @@ def test_profile_velocity_and_torque_follow_their_slopes() -> None:
     drives.write(0, 0x6087, 500)
     drives.write(0, 0x6071, 100)
     begins = drives.read(0, 0x6074)
-    drives.advance_periods()
+    drives.period()
     slope = until(drives, lambda: bool(drives.read(0, STATUS) & REACHED))
     assert drives.read(0, MODE_DISPLAY) == TQ, "mode that is shown"
     assert slope == pytest.approx((100 - begins) / 500 / T, abs=2), "periods to the torque"
@@ -376,12 +374,12 @@ def test_modes_change_without_a_jump_of_the_arm(seed: int) -> None:
             drives.write(j, 0x6071, rng.randrange(-20, 20))
             drives.write(j, TARGET, drives.read(j, ACTUAL))
             drives.write(j, MODE, mode)
-        drives.advance_periods(2)
+        drives.period(2)
         assert {drives.read(j, MODE_DISPLAY) for j in range(N)} == {mode}, "mode that is shown"
         for _ in range(20):
             for j in range(N):
                 drives.write(j, TARGET, drives.read(j, ACTUAL))
-            drives.advance_periods()
+            drives.period()
             worst = max(worst, *np.abs(truth(drives, "current")))
         assert {state(drives, j) for j in range(N)} == {"operation enabled"}, "states"
     # A step of 6000 counts/s takes Kv * 37 rad/s = 11 A; a jump of the demand would take all 20 A.

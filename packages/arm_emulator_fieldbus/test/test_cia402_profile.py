@@ -102,7 +102,7 @@ def test_a_quick_stop_sets_target_reached_when_the_drive_has_halted(mode: int, o
     drives.write(0, CONTROL, ENABLE | 0x10)
     until(drives, lambda: drives.read(0, 0x606C) > 12000)
     drives.write(0, CONTROL, 0x02)
-    drives.advance_periods()
+    drives.period()
     assert state(drives) == "quick stop"
     threshold = drives.read(0, 0x606F) * drives.read(0, 0x2007)
     reached, before = False, drives.read(0, 0x606C)
@@ -113,7 +113,7 @@ def test_a_quick_stop_sets_target_reached_when_the_drive_has_halted(mode: int, o
             reached = True  # at the speed that the period began with; the link may swing on
             assert abs(before) <= threshold
         before = drives.read(0, 0x606C)
-        drives.advance_periods()
+        drives.period()
     if option >= 5:
         assert state(drives) == "quick stop" and drives.read(0, STATUS) & REACHED
     else:
@@ -136,7 +136,7 @@ def test_halt_in_profile_torque_sets_target_reached_once_the_axis_stands() -> No
     assert not drives.read(0, STATUS) & REACHED, "it decelerates"
     for _ in range(20000):
         stands = abs(drives.read(0, 0x606C)) <= threshold  # as the next period begins
-        drives.advance_periods()
+        drives.period()
         assert bool(drives.read(0, STATUS) & REACHED) == (stands and not drives.read(0, 0x6074))
         if drives.read(0, STATUS) & REACHED:
             break
@@ -161,7 +161,7 @@ def test_change_immediately_takes_a_set_point_while_the_buffer_is_full(relative:
     set_point(drives, start + 60000)
     set_point(drives, start - 60000)
     drives.write(0, CONTROL, ENABLE)
-    drives.advance_periods()
+    drives.period()
     assert drives.read(0, STATUS) & BIT12, "the buffer is full"
     drives.write(0, TARGET, start)
     command(drives, ENABLE | 0x10, 2)
@@ -173,7 +173,7 @@ def test_change_immediately_takes_a_set_point_while_the_buffer_is_full(relative:
     command(drives, ENABLE, 1)
     assert not drives.read(0, STATUS) & BIT12, "the buffer is free"
     until(drives, lambda: bool(drives.read(0, STATUS) & REACHED), 30000)
-    drives.advance_periods(2000)
+    drives.period(2000)
     assert drives.read(0, 0x6062) == start + 30000, "it ends at the newest, and nowhere else"
 
 
@@ -193,14 +193,14 @@ def test_an_endless_joint_rotates_beyond_31_bits(mode: int) -> None:
     if mode == CSP:
         for k in range(300):
             drives.write(0, TARGET, ((LARGEST - 200 + 3 * k) + 2**31) % 2**32 - 2**31)
-            drives.advance_periods()
+            drives.period()
     elif mode == CSV:
         drives.write(0, 0x60FF, 9000)
     else:
         drives.write(0, TARGET, 2000)
         command(drives, ENABLE | 0x70)
     until(drives, lambda: drives.read(0, ACTUAL) < 0, 3000)
-    drives.advance_periods(100)
+    drives.period(100)
     assert -(2**31) <= drives.read(0, ACTUAL) < -(2**31) + 5000
     assert drives.read(0, ERROR) == 0
 
@@ -212,7 +212,7 @@ def test_a_limit_on_a_single_side_still_holds() -> None:
     at = drives.read(0, ACTUAL)
     for k in range(1000):
         drives.write(0, TARGET, at + k)
-        drives.advance_periods()
+        drives.period()
     assert drives.read(0, 0x6062) == 500
 
 
@@ -241,7 +241,7 @@ def test_windows_and_decelerations_scale_with_the_encoder(bits: int) -> None:
     for drives, scale in ((coarse, 1.0), (fine, factor)):
         enable(drives, CSV)
         drives.write(0, 0x60FF, round(30000 * scale))
-        drives.advance_periods(1000)
+        drives.period(1000)
         drives.write(0, 0x605A, 6)
         drives.write(0, CONTROL, 0x02)
         times.append(until(drives, lambda d=drives: bool(d.read(0, STATUS) & REACHED)))

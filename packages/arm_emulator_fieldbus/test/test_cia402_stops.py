@@ -61,7 +61,7 @@ def test_torque_and_speed_stay_within_their_limits_and_state_so() -> None:
     start, torques, limited = drives.read(0, ACTUAL), [], 0
     for k in range(1000):
         drives.write(0, TARGET, start + (2500 if k // 250 % 2 else -2500))
-        drives.advance_periods()
+        drives.period()
         torques.append(truth(drives, "current")[0] / 0.02)
         limited += bool(drives.read(0, STATUS) & INTERNAL_LIMIT)
     # The limit is on what is asked for; speeds are observed through counts, see above.
@@ -72,13 +72,13 @@ def test_torque_and_speed_stay_within_their_limits_and_state_so() -> None:
     enable(drives, CSV)
     drives.write(0, 0x6080, 500)  # rpm
     drives.write(0, 0x60FF, 40000)
-    drives.advance_periods(1500)
+    drives.period(1500)
     rpm = truth(drives, "omega_m")[0] * 60 / (2 * math.pi)
     assert rpm == pytest.approx(500, rel=0.02), "speed, as limited"
     assert drives.read(0, STATUS) & INTERNAL_LIMIT, "the internal limit bit"
     drives.write(0, 0x6071, 200)
     drives.write(0, MODE, CST)
-    drives.advance_periods(1500)
+    drives.period(1500)
     # The torque goes as the speed comes near, see 0x6080 in docs/reference/drives.md.
     assert truth(drives, "omega_m")[0] * 60 / (2 * math.pi) < 510, "speed under a torque"
 
@@ -100,7 +100,7 @@ def test_no_mode_leaves_the_software_limits(mode: int) -> None:
         for k in range(3000):
             step = min(10**6, 12 * k)
             drives.write(0, TARGET, at + sign * step)
-            drives.advance_periods()
+            drives.period()
             farthest = max(farthest, sign * (drives.read(0, ACTUAL) - limit))
         # The arm swings when it is stopped: by 12000 counts/s for 10 ms where it is stopped dead,
         # by a third of that where it has slowed down before.
@@ -118,7 +118,7 @@ def test_a_following_error_is_a_fault_after_its_time() -> None:
     drives.write(0, 0x6085, 40000)
     target = drives.read(0, ACTUAL) + 40000
     drives.write(0, TARGET, target)
-    drives.advance_periods()
+    drives.period()
     assert drives.read(0, STATUS) & BIT13, "following error"
     assert drives.read(0, STATUS) & 0x80, "warning"
     after = until(drives, lambda: state(drives) != "operation enabled")
@@ -134,7 +134,7 @@ def test_a_following_error_is_a_fault_after_its_time() -> None:
     assert state(drives, 1) == "operation enabled", "the others go on"
     assert drives.plant.measured.applied[0] == 0.0, "the motor has no voltage"
     drives.write(0, CONTROL, RESET)
-    drives.advance_periods()
+    drives.period()
     assert state(drives) == "switch on disabled", "after the reset"
     assert drives.read(0, ERROR) == drives.read(0, 0x1001) == 0, "no error"
     assert drives.read(0, 0x1003, 0) == 1, "the history stays"
@@ -165,11 +165,11 @@ def test_a_quick_stop_ends_as_its_option_states(option: int, mode: int) -> None:
     for k in range(800):
         if mode == CSP:
             drives.write(0, TARGET, at + 10 * k)
-        drives.advance_periods()
+        drives.period()
     speed = drives.read(0, 0x606B)
     assert speed > 5000, "speed before [counts/s]"
     drives.write(0, CONTROL, 0x0B)
-    drives.advance_periods()
+    drives.period()
     stays = option >= 5
     if option == 0:
         assert state(drives) == "switch on disabled", "no stop at all"
@@ -177,19 +177,19 @@ def test_a_quick_stop_ends_as_its_option_states(option: int, mode: int) -> None:
     assert state(drives) == "quick stop", "it slows down"
     if not stays:
         drives.write(0, CONTROL, ENABLE)
-        drives.advance_periods()
+        drives.period()
         assert state(drives) == "quick stop", "no way back"
         drives.write(0, CONTROL, 0x0B)
     if mode in (PP, CSP, CSV) and option % 4 in (1, 2):
         ramp = speed / (20000 if option % 4 == 1 else 60000) / T
         took = 2 - stays + until(drives, lambda: drives.read(0, 0x606B) == 0)
         assert took == pytest.approx(ramp, abs=2), "periods of slowing down"
-    drives.advance_periods(3000)
+    drives.period(3000)
     assert abs(drives.read(0, 0x606C)) < 300, "it stands, but for the swing of the arm"
     assert state(drives) == ("quick stop" if stays else "switch on disabled"), "where it ends"
     drives.write(0, CONTROL, ENABLE)
     drives.write(0, TARGET, drives.read(0, ACTUAL))
-    drives.advance_periods()
+    drives.period()
     assert state(drives) == ("operation enabled" if stays else "switch on disabled"), "T16 or not"
 
 
@@ -200,9 +200,9 @@ def test_a_lost_master_leads_where_0x6007_states(reaction: int) -> None:
         drives.write(j, 0x6007, reaction)
         drives.write(j, 0x60FF, 5000)
     enable(drives, CSV)
-    drives.advance_periods(500)
+    drives.period(500)
     drives.report_loss(error=0x821B)
-    drives.advance_periods(2000)
+    drives.period(2000)
     names = ("operation enabled", "fault", "switch on disabled", "switch on disabled")
     assert {state(drives, j) for j in range(N)} == {names[reaction]}, "states"
     assert drives.read(0, ERROR) == (0x821B if reaction == 1 else 0), "error code"
@@ -217,7 +217,7 @@ def test_without_power_the_drives_fail_and_wait() -> None:
     enable(drives, CSP)
     assert drives.read(0, STATUS) & 0x10, "voltage is there"
     drives.plant.powered = False
-    drives.advance_periods(2)
+    drives.period(2)
     assert state(drives) == "fault", "without voltage"
     assert drives.read(0, ERROR) == 0x3220, "undervoltage"
     assert drives.read(0, 0x6079) == 0, "DC link"
@@ -227,7 +227,7 @@ def test_without_power_the_drives_fail_and_wait() -> None:
     command(drives, ENABLE, 5)
     assert state(drives) == "ready", "it waits for voltage"
     drives.plant.powered = True
-    drives.advance_periods(3)
+    drives.period(3)
     assert state(drives) == "operation enabled", "it goes on by itself: the command is still there"
 
 
@@ -236,13 +236,13 @@ def test_a_machine_that_diverges_is_a_fault_that_stays_until_it_is_reset() -> No
     enable(drives, CSV)
     drives.plant.state = dataclasses.replace(drives.plant.state, v=np.full(N, 1e6))
     with pytest.raises(Diverged):
-        drives.advance_periods(10)
+        drives.period(10)
     assert {state(drives, j) for j in range(N)} == {"fault"}, "states"
     assert drives.read(0, ERROR) == 0x6100, "error code"
     for j in range(N):
         drives.write(j, CONTROL, RESET)
     with pytest.raises(Diverged):
-        drives.advance_periods()
+        drives.period()
     assert state(drives) == "fault", "the cause is still there"
     drives.plant.reset()
     drives.begin()
@@ -261,14 +261,14 @@ def test_a_hot_motor_is_a_fault_until_it_is_cool() -> None:
     assert drives.read(0, ERROR) == 0x4310, "motor too hot"
     assert drives.read(0, 0x1001) == 0x09, "error register"
     drives.write(0, CONTROL, RESET)
-    drives.advance_periods()
+    drives.period()
     assert state(drives) == "fault", "it is still hot"
-    drives.advance_periods(200)
+    drives.period(200)
     assert drives.read(0, 0x2004) == 1, "the brake"
     drives.write(0, CONTROL, 0)
-    drives.advance_periods()
+    drives.period()
     drives.write(0, CONTROL, RESET)
-    drives.advance_periods()
+    drives.period()
     assert state(drives) == "switch on disabled", "it has cooled down"
 
 
@@ -278,7 +278,7 @@ def test_a_hot_motor_is_a_fault_until_it_is_cool() -> None:
 def test_brakes_open_before_and_close_behind_the_motion() -> None:
     """The arm does not sag under gravity while a brake is on its way."""
     drives = make(RICH)
-    drives.advance_periods(60)  # closed by now
+    drives.period(60)  # closed by now
     assert drives.read(1, 0x2004) == 1, "a drive that is not enabled is braked"
     start = truth(drives, "theta_m").copy()
     for j in range(N):
@@ -288,18 +288,18 @@ def test_brakes_open_before_and_close_behind_the_motion() -> None:
     command(drives, ENABLE)
     waited = until(drives, lambda: state(drives, 1) == "operation enabled")
     assert waited == pytest.approx(RELEASE / T, abs=2), "periods until the brake is open"
-    drives.advance_periods(500)
+    drives.period(500)
     command(drives, SWITCH_ON)
     closed = until(drives, lambda: drives.read(1, 0x2004) == 1)
     assert closed == pytest.approx(CLOSE / T, abs=2), "periods until the brake is closed"
-    drives.advance_periods(50)
+    drives.period(50)
     assert drives.plant.measured.applied[1] == 0.0, "the motor is let go once it is braked"
     turned = (truth(drives, "theta_m") - start) * 1024 / (2 * math.pi)
     # The weight moves from the brake to the motor, which finds it by its integral: some counts.
     assert np.abs(turned).max() < 12, "counts by which the motors have turned"
     enable(drives, CSP)
     drives.write(1, CONTROL, 0)  # disable voltage: at once, and it sags
-    drives.advance_periods()
+    drives.period()
     assert drives.plant.measured.applied[1] == 0.0, "no voltage at once"
 
 
@@ -329,10 +329,10 @@ def test_homing_finds_index_pulses_and_stops(method: int) -> None:
     drives.write(j, 0x6099, 20000, 1)
     before = drives.read(j, 0x6063)
     drives.write(j, CONTROL, ENABLE | 0x10)
-    drives.advance_periods(2)
+    drives.period(2)
     assert not drives.read(j, STATUS) & (BIT12 | REACHED), "it is under way"
     until(drives, lambda: bool(drives.read(j, STATUS) & BIT12), 20000)
-    drives.advance_periods(300)
+    drives.period(300)
     home = drives.read(j, 0x6063) - (drives.read(j, ACTUAL) + 77)
     per_rad = 1024 / (2 * math.pi) / 0.01
     forward = method in (34, -1, -3)
@@ -358,10 +358,10 @@ def test_homing_that_finds_nothing_or_is_broken_off_states_so() -> None:
     drives.write(0, 0x6098, 34)
     drives.write(0, 0x6072, 0)  # it cannot move
     drives.write(0, CONTROL, ENABLE | 0x10)
-    drives.advance_periods(100)
+    drives.period(100)
     assert not drives.read(0, STATUS) & (BIT12 | REACHED), "it is looking"
     drives.write(0, CONTROL, ENABLE)
-    drives.advance_periods(100)
+    drives.period(100)
     assert drives.read(0, STATUS) & (BIT12 | REACHED) == REACHED, "broken off"
 
 
@@ -370,7 +370,7 @@ def test_touch_probes_store_the_position_of_index_pulses() -> None:
     enable(drives, CSV)
     drives.write(0, 0x60FF, 8000)
     drives.write(0, 0x60B8, 0x0015 | 0x17 << 8)  # 1: the first one, 2: every one
-    drives.advance_periods()
+    drives.period()
     assert drives.read(0, 0x60B9) == 0x0101, "both are on"
     until(drives, lambda: drives.read(0, 0x60B9) == 0x0303)
     first = drives.read(0, 0x60BA)
@@ -378,7 +378,7 @@ def test_touch_probes_store_the_position_of_index_pulses() -> None:
     until(drives, lambda: drives.read(0, 0x60BC) == first + 2048)
     assert drives.read(0, 0x60BA) == first, "the first one stays"
     drives.write(0, 0x60B8, 0)
-    drives.advance_periods()
+    drives.period()
     assert drives.read(0, 0x60B9) == 0, "off"
 
 
@@ -412,7 +412,7 @@ def test_a_master_that_writes_at_random_never_breaks_a_drive(seed: int) -> None:
                 drives.download_entry(j, target.index, target.sub, content)
         if k % 100 == 0:
             drives.report_loss(rng.randrange(-1, N))
-        drives.advance_periods()
+        drives.period()
         for j in range(N):
             now = state(drives, j)
             states.add(now)

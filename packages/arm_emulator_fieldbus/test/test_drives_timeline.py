@@ -56,7 +56,7 @@ def enabled(drives: Drives) -> None:
     for word in (SHUTDOWN, SWITCH_ON, ENABLE):
         for j in range(N):
             drives.write(j, CONTROL, word)
-        drives.advance_periods(5)
+        drives.period(5)
 
 
 def read_everything(drives: Drives) -> tuple[bytes, list[bytes]]:
@@ -85,9 +85,9 @@ def straight(seed: int, until: int) -> Drives:
     for tick, write in draw_changes(seed):
         if tick > until:
             break
-        drives.advance_periods(begin + tick - drives.tick)
+        drives.period(begin + tick - drives.tick)
         write(drives)
-    drives.advance_periods(begin + until - drives.tick)
+    drives.period(begin + until - drives.tick)
     return drives
 
 
@@ -125,11 +125,11 @@ def test_forks_of_drives_go_on_as_if_they_were_alone() -> None:
         branch.go_to(branch.newest)
         alone = make(RICH)
         enabled(alone)
-        alone.advance_periods(100)
+        alone.period(100)
         for at, seed in seeds:
-            alone.advance_periods(at)
+            alone.period(at)
             words(random.Random(seed))(alone)
-        alone.advance_periods(branch.newest - alone.tick)
+        alone.period(branch.newest - alone.tick)
         assert read_everything(drives) == read_everything(alone)
 
 
@@ -141,6 +141,6 @@ def test_states_of_different_drives_are_refused() -> None:
     before = read_everything(first)
     saved = first.save()
     assert len(saved) > len(saved.machine) + 1000
-    first.advance_periods(10)
+    first.period(10)
     first.restore(saved)
     assert read_everything(first) == before

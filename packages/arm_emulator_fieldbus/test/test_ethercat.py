@@ -77,7 +77,7 @@ def test_working_counters_and_positions_are_those_of_the_standard(master: Master
         (77, at(0, 0x10), 0, 0),
     ]
     for command, address, counter, position in cases:
-        back = master.segment.exchange_frame(frame((command, address, two)))
+        back = master.segment.frame(frame((command, address, two)))
         assert read_replies(back)[0][1] == counter, (
             f"working counter of command {command} at {address:#x}"
         )
@@ -112,7 +112,7 @@ def test_the_line_ends_at_its_last_slave_and_where_a_port_is_closed(master: Mast
     master.write(1, 0x0101, b"\x00")
     assert master.one(BRD, 0, bytes(1))[1] == 3, "and reaches the last again"
     master.write(2, 0x0101, b"\x08")  # open where nothing is connected
-    assert master.segment.exchange_frame(frame((NOP, 0, b""))) == b"", "the frame is lost there"
+    assert master.segment.frame(frame((NOP, 0, b""))) == b"", "the frame is lost there"
 
 
 def test_a_slave_uses_its_alias_once_the_master_has_enabled_it(master: Master) -> None:

@@ -124,7 +124,7 @@ def test_any_mapping_carries_the_objects_that_it_names(master: Master, seed: int
         assert count == 2 * bool(out) + bool(into), "written and read"
         assert back[out:] == expected, "inputs are the values that the drive had"
         if out or into:
-            twin.advance_periods()
+            twin.period()
         assert drives.tick == twin.tick, "as many servo periods"
         for mapped_entry in there:
             if not 0x1600 <= mapped_entry.index <= 0x1C13:
@@ -374,7 +374,7 @@ def test_malformed_frames_change_nothing_and_are_counted(master: Master) -> None
         command = int(rng.integers(1, 15))
         place = at(int(rng.choice([0, STATION])), int(rng.choice([0x120, 0x800, 0x1000, 0x1200])))
         sound = frame((command, place, rng.bytes(int(rng.integers(1, 200)))))
-        assert master.segment.exchange_frame(bad_frame(rng, sound)) == b"", "nothing comes back"
+        assert master.segment.frame(bad_frame(rng, sound)) == b"", "nothing comes back"
     figures = master.segment.figures
     thrown = figures.malformed + figures.foreign + figures.circulating
     assert (thrown, figures.frames) == (counted, frames), "each is counted, none carried out"
@@ -396,9 +396,7 @@ def test_frames_of_any_shape_do_no_harm(master: Master) -> None:
     for _ in some(range(30_000), 2_000):
         body = rng.bytes(int(rng.integers(0, 120)))
         ethernet = HEADER + struct.pack("<H", 0x1000 | len(body)) + body
-        back = master.segment.exchange_frame(
-            ethernet if rng.random() < 0.9 else rng.bytes(len(ethernet))
-        )
+        back = master.segment.frame(ethernet if rng.random() < 0.9 else rng.bytes(len(ethernet)))
         assert back == b"" or len(back) == len(ethernet), "a frame keeps its length"
     for k in range(master.slaves):
         assert master.segment.read_memory(k)[0x0130] & 15 in (INIT, PREOP, SAFEOP, OP), "a state"

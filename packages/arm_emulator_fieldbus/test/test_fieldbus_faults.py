@@ -127,7 +127,7 @@ def test_a_fault_over_sdo_is_that_of_a_session_from_its_tick_on(scene: Scene, bu
                 session.set_varied(name, value)
         for drive_set in alike:
             drive_set.write(2, TARGET, start + round(400 * (1.0 - np.cos(0.05 * tick))))
-            drive_set.advance_periods()
+            drive_set.period()
         assert drives.plant.save() == session.plant.save(), f"tick {tick}"
         moved.add(np.array_equal(drives.plant.state.q, sound.plant.state.q))
         assert tick >= BEGIN or moved == {True}, "before it begins"

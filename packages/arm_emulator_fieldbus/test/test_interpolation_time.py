@@ -206,7 +206,7 @@ def test_a_target_that_changes_in_motion_begins_a_new_line() -> None:
     start = drives.read(0, ACTUAL)
     for k, goal in enumerate([160] * 4 + [240] * 12):
         drives.write(0, TARGET, start + goal)
-        drives.advance_periods()
+        drives.period()
         line = 20 * (k + 1) if k < 12 else 240
         assert drives.read(0, 0x6062) - start == line, "160 / 8 as well as (240 - 80) / 8"
 
@@ -226,7 +226,7 @@ def test_a_mode_that_is_not_supported_is_refused_and_never_displayed(bus: int) -
             continue
         with pytest.raises(Aborted, match="060900"):
             drives.write(0, 0x6060, mode)
-        drives.advance_periods()
+        drives.period()
         assert drives.read(0, 0x6061) == drives.read(0, 0x6060) == CSP
 
 

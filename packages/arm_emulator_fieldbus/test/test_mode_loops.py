@@ -102,7 +102,7 @@ def test_modes_that_do_not_hold_are_not_offered_and_refused() -> None:
         for mode in (PROFILE_TORQUE, CYCLIC_TORQUE):
             with pytest.raises(Aborted, match="06090030"):
                 drives.write(j, 0x6060, mode)
-        drives.advance_periods()
+        drives.period()
         assert drives.read(j, 0x6061) == 8, "it stays in its mode"
     lines = describe_withheld_modes(scene, withheld)
     assert len(lines) == 6
@@ -128,11 +128,11 @@ def test_it_swings_as_its_eigenvalues_state() -> None:
     drives = enabled(scene, servo, withheld=True)
     drives.write(0, 0x6071, 0)
     drives.write(0, 0x6060, CYCLIC_TORQUE)
-    drives.advance_periods()
+    drives.period()
     drives.write(0, 0x6071, 3)
     currents = []
     for _ in range(1500):
-        drives.advance_periods()
+        drives.period()
         currents.append(drives.plant.state.current[0])
     growing = np.array(currents[300:600])
     spectrum = np.abs(np.fft.rfft((growing - growing.mean()) * np.hanning(len(growing)), 4096))
@@ -206,14 +206,14 @@ def test_drives_behave_as_the_eigenvalues_state(tmp_path: Path) -> None:
                 continue  # it grows, but not to be seen in a fraction of a second
             drives = enabled(scene, servo, withheld=True)
             drives.write(0, 0x6060, mode)
-            drives.advance_periods()
+            drives.period()
             drives.write(0, 0x60B2, 20)  # a kick of 2 % of the torque
-            drives.advance_periods(20)
+            drives.period(20)
             drives.write(0, 0x60B2, 0)
-            drives.advance_periods(300)
+            drives.period(300)
             torque = []
             for _ in range(200):
-                drives.advance_periods()
+                drives.period()
                 torque.append(drives.read(0, 0x6077) / 10.0)
             swing = swings(np.array(torque))
             about = f"draw {draw}, {loop.value}: growth {growth:.3g} 1/s, swings by {swing:.3g} %"

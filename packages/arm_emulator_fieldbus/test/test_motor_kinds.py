@@ -171,12 +171,12 @@ def test_a_drive_on_a_field_bus_does_the_same(kind: str) -> None:
     for j in range(N):
         drives.write(j, 0x6060, 8)
         drives.write(j, 0x2001, 0)  # the jump's speed is not fed forward
-    drives.advance_periods(3)
+    drives.period(3)
     for word in (6, 7, 15):
         for j in range(N):
             drives.write(j, 0x607A, drives.read(j, 0x6064))
             drives.write(j, 0x6040, word)
-        drives.advance_periods(3)
+        drives.period(3)
     assert all(drives.read(j, 0x6041) & 0x6F == 0x27 for j in range(N)), "enabled"
     began = drives.plant.state.q
     count = scene.joints[joint].gear.ratio * 2.0 * math.pi / 2**24
@@ -184,7 +184,7 @@ def test_a_drive_on_a_field_bus_does_the_same(kind: str) -> None:
     drives.write(joint, 0x607A, drives.read(joint, 0x6064) + counts)
     q = [began]
     for _ in range(ROWS):
-        drives.advance_periods()
+        drives.period()
         q.append(drives.plant.state.q)
     moved = (np.array(q) - began) / (counts * count)
     expected = predicted(scene, servo, joint)

@@ -43,8 +43,8 @@ def enabled(scene: Scene, servo: ServoConfig, withheld: bool = False) -> Drives:
     for word in (6, 7, 15):
         for j in joints:
             drives.write(j, 0x6040, word)
-        drives.advance_periods()
-    drives.advance_periods(SETTLED)
+        drives.period()
+    drives.period(SETTLED)
     assert all(drives.read(j, 0x6041) & 0x6F == 0x27 for j in joints), "operation enabled"
     return drives
 
@@ -57,18 +57,18 @@ def torque_run(
     if braked:
         drives.write(joint, 0x60FE, 1, 2)
         drives.write(joint, 0x60FE, 1, 1)
-        drives.advance_periods(SETTLED)
+        drives.period(SETTLED)
         assert drives.plant.measured.brake_closed[joint], "the brake is closed"
     drives.write(joint, 0x6071, 0)
     drives.write(joint, 0x6087, SLOPE)
     drives.write(joint, 0x6060, mode)
-    drives.advance_periods(5)
+    drives.period(5)
     assert drives.read(joint, 0x6061) == mode, "the mode that is shown"
     drives.write(joint, 0x6071, target)
     rated = drives.read(joint, 0x6075) / 1e3
     torque, current, limited = [], [], []
     for _ in range(PERIODS):
-        drives.advance_periods()
+        drives.period()
         torque.append(drives.read(joint, 0x6077) / 10.0)
         current.append(100.0 * drives.plant.state.current[joint] / rated)
         limited.append(bool(drives.read(joint, 0x6041) & INTERNAL_LIMIT))

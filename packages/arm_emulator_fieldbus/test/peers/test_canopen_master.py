@@ -227,10 +227,10 @@ def test_ur5_moves_as_its_drives_do_in_process(tmp_path: Path) -> None:
                 drives.write(k, 0x6060, CSP)
                 drives.write(k, 0x6040, word)
             exchange()
-            drives.advance_periods(CYCLE)
+            drives.period(CYCLE)
         start = [position for _, _, position in exchange()]
         assert start == [drives.read(k, 0x6064) for k in range(6)]
-        drives.advance_periods(CYCLE)
+        drives.period(CYCLE)
         counts = np.array([joint.counts_per_turn for joint in scene.joints])
         counts = 0.4 * counts / (2 * np.pi) / scene.gear_ratios  # 0.4 rad
         hertz = np.random.default_rng(1).uniform(0.2, 0.5, 6)
@@ -250,11 +250,11 @@ def test_ur5_moves_as_its_drives_do_in_process(tmp_path: Path) -> None:
             for k, target in enumerate(targets):
                 drives.write(k, 0x6040, 15)
                 drives.write(k, 0x607A, target)
-            drives.advance_periods(CYCLE)
+            drives.period(CYCLE)
             off = np.array(targets) - [position for *_, position in reported]
             worst = max(worst, float(np.abs(off / counts * 0.4).max()))
         exchange()
-        drives.advance_periods(CYCLE)
+        drives.period(CYCLE)
         assert worst < 0.02, "rad at the links, behind the targets"
         print(f"worst distance to the targets {worst:.4f} rad")
     assert segment.drives.plant.save() == drives.plant.save()
