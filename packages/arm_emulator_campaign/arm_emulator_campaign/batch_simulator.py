@@ -79,7 +79,9 @@ class BatchSimulator:
         self._schedule = FleetWay(scene, width, self._sampler.look, self._sampler.with_)
         self._frame = self._fleet.frame()
         table = scenario.table
-        self._nominal = Targets.stack_runs([(table.compute_ticks(scene.servo_period), table.q)] * width)
+        self._nominal = Targets.stack_runs(
+            [(table.compute_ticks(scene.servo_period), table.q)] * width
+        )
         self._targets = self._nominal
         self._servos.aim_at(self._targets.since, self._targets.q, self._targets.first)
 

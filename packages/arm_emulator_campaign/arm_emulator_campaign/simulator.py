@@ -211,7 +211,9 @@ class Simulator:
         if isinstance(self._run, OfflineRun):
             since, rows = zip(*self._aimed, strict=True)
             return Targets.stack_runs([(since, np.array(rows))])
-        return Targets.stack_runs([(self._table.compute_ticks(self._scene.servo_period), self._table.q)])
+        return Targets.stack_runs(
+            [(self._table.compute_ticks(self._scene.servo_period), self._table.q)]
+        )
 
 
 def _place_points(move: Move, p_WT: Array) -> Array:

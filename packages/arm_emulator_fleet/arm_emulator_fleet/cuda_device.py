@@ -322,7 +322,9 @@ class CudaModule(Module):
 
     def _get_attribute(self, function: CData, name: str) -> int:
         return int(
-            self._driver.read_result("cuFuncGetAttribute", "int *", DRIVER.get_constant(name), function)
+            self._driver.read_result(
+                "cuFuncGetAttribute", "int *", DRIVER.get_constant(name), function
+            )
         )
 
     def _launch_kernel(

@@ -88,7 +88,9 @@ def compare_accuracy(
     file = find_scene(scene)
     machine, gains = load_scene(file), load_gains(file)
     if draw is not None:
-        machine = _draw_deviations(machine, file, int(SEED.rename("--draw").check_value("accuracy", draw)))
+        machine = _draw_deviations(
+            machine, file, int(SEED.rename("--draw").check_value("accuracy", draw))
+        )
     angle = math.inf if positions else tracker_angle
     test = AccuracyTest(cycles, centre, edge, dwell, directions, fit, held, tracker, angle, seed)
     with show_stages() as stage:
