@@ -35,7 +35,7 @@ from arm_emulator.machine.parts.motors.torque_motor import TorqueMotor
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from oracles import mixtures
 from oracles.mixtures import BRAKED, PERIOD, STEPS, Numbers, Rng, run_rows
-from oracles.part_samples import draw_part, draw_scaled
+from oracles.part_truths import draw_part, draw_scaled
 from oracles.random_chain import list_moving_joints, write_random_chain
 from oracles.smoothed_reference import InputRow, SmoothedMachine, Smoothing
 

@@ -45,7 +45,7 @@ from arm_emulator.machine.scene.known_parts import (
     read_motor,
 )
 from arm_emulator_fleet import Fleet
-from oracles.part_samples import draw_part, draw_scaled, fit_friction_to_gear
+from oracles.part_truths import draw_part, draw_scaled, fit_friction_to_gear
 from oracles.random_chain import list_moving_joints, write_random_chain
 
 PERIOD, ROWS = 0.01, 20  # s, that each command is held, and how many of them

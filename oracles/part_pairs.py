@@ -58,7 +58,7 @@ from oracles.mixtures import (
     place_of,
     write_scene,
 )
-from oracles.part_samples import draw_part, fit_friction_to_gear
+from oracles.part_truths import draw_part, fit_friction_to_gear
 from oracles.random_chain import list_moving_joints, write_random_chain
 
 Rng = np.random.Generator

@@ -10,7 +10,7 @@ from arm_emulator import Scene, load_scene
 from arm_emulator.machine.parts.measuring.sensors import ANALOG
 from arm_emulator.machine.parts.measuring.thermometer import Thermometer
 from arm_emulator.machine.scene.known_parts import DECORATORS, EXTRAS
-from oracles.part_samples import draw_part
+from oracles.part_truths import draw_part
 from oracles.random_chain import LINK
 
 NAMES = ("shoulder", "elbow", "wrist")

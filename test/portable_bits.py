@@ -1,8 +1,10 @@
 """Digests of what machines, fleets and servos compute, the same for every compiler and processor.
 
 `FULL=1 python test/portable_bits.py` writes test/portable_bits.json anew, which is due with each
-change of the physics, and of nothing else. With a target and a level, such as `native -O1`, the
-digests of code that $CXX compiles so are printed: with FULL=1 all, else the first ones.
+change of the physics, and of nothing else. Mixtures of parts and a machine with faults are those
+of test/portable_scenes.json, so that a new part changes no digest. With a target and a level, such
+as `native -O1`, the digests of code that $CXX compiles so are printed: with FULL=1 all, else the
+first ones.
 """
 
 import hashlib
@@ -16,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from draws import FULL, some
-from faulty_machine import everything
 from machines import SENSED
 from own_firmware import code
 
@@ -32,9 +34,16 @@ from arm_emulator.toolchain.flags import C_FLAGS
 from arm_emulator.toolchain.unit import Unit, compile_units
 from arm_emulator_fleet import Fleet
 from arm_emulator_fleet.unit import build_fleet_unit
-from oracles.mixtures import write_mixture
 
 STORED = Path(__file__).with_suffix(".json")
+SCENES = json.loads(Path(__file__).with_name("portable_scenes.json").read_text())
+# Outputs whose zeros are in a digest where a scene has no such part; others came later.
+OUTPUTS = {
+    "encoder_counts", "current", "current_d", "applied_d", "applied_b", "applied", "faults",
+    "brake_closed", "index_counts", "index_pulses", "link_encoder_counts", "link_index_counts",
+    "link_index_pulses", "torque", "motor_speed", "link_position", "link_speed",
+    "motor_temperature", "specific_force", "angular_rate",
+}  # fmt: skip
 ROWS, STEPS, ARMS = 100, 100, 3  # rows of commands, steps under each, arms of a fleet
 UNPOWERED, CHANGED, REWOUND = range(20, 30), 40, 60  # rows
 TICKS = 1000  # of servos
@@ -63,15 +72,12 @@ Drawing = Callable[[dict[str, Any]], Scene]
 def drawings(folder: Path) -> dict[str, Drawing]:
     """Return scenes by name, the short run's first: shipped ones, and mixtures of all parts."""
 
-    def mixture(seed: int, overrides: dict[str, Any]) -> Scene:
-        place = folder / str(seed)
+    def stored(name: str, overrides: dict[str, Any]) -> Scene:
+        place = folder / name
         place.mkdir(exist_ok=True)
-        return load_scene(write_mixture(place, seed), overrides)
-
-    def faulty(overrides: dict[str, Any]) -> Scene:
-        possible = [fault.name for fault in everything(folder, faults=[]).possible_faults]
-        possible.remove("wrist_link.mass_at_joint")  # of the link that carries the payload
-        return load_scene(folder / "scene.yaml", overrides | {"faults": possible})
+        (place / "robot.urdf").write_text(SCENES[name]["urdf"])
+        (place / "scene.yaml").write_text(yaml.safe_dump(SCENES[name]["scene"]))
+        return load_scene(place / "scene.yaml", overrides)
 
     def sensed(overrides: dict[str, Any]) -> Scene:
         return load_scene("three_axis", SENSED | overrides)
@@ -80,11 +86,10 @@ def drawings(folder: Path) -> dict[str, Drawing]:
     return {
         "sensed": sensed,
         "ur5": shipped["ur5"],
-        "mixture 0": partial(mixture, 0),
+        "mixture 0": partial(stored, "mixture 0"),
         **shipped,
         "kuka_kr300": partial(load_scene, "kuka_kr300"),
-        **{f"mixture {seed}": partial(mixture, seed) for seed in (2, 3, 5)},
-        "faulty": faulty,
+        **{name: partial(stored, name) for name in SCENES if name != "mixture 0"},
     }
 
 
@@ -141,13 +146,9 @@ def disturb(arms: Plant | Fleet, row: int) -> None:
 
 
 def names_of(scene: Scene) -> list[str]:
-    """Return the outputs in a digest: zeros of what is not there too, but for deflections.
-
-    So that digests are those from before there were any.
-    """
-    deflections = {output.name for kind in DEFLECTIONS for output in kind.outputs}
+    """Return the outputs in a digest: those of `OUTPUTS`, and others that the scene has."""
     there = {output.name for output in list_outputs(scene)}
-    return [name for name in KNOWN if name in there or name not in deflections]
+    return [name for name in KNOWN if name in there or name in OUTPUTS]
 
 
 def digest_of_machine(scene: Scene, arm: int = 0) -> str:

@@ -20,7 +20,7 @@ from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.scene.known_parts import MOTORS, PARTS
 
 ROOT = Path(__file__).resolve().parents[1]
-OWN = ("arm_emulator/machine/parts/", "arm_emulator/core/parts/")
+OWN = ("arm_emulator/machine/parts/", "arm_emulator/core/parts/", "oracles/parts/")
 ROOMS = (
     "arm_emulator", "bench", "docs", "emulator_node", "examples", "launch",
     "motion_controller_node", "oracles", "packages", "servo_node", "tools",
@@ -55,7 +55,6 @@ ABOUT = "a bench about these very parts"
 ALLOWED = {
     "oracles/reference.py": INDEPENDENT,
     "oracles/smoothed_reference.py": INDEPENDENT,
-    "oracles/part_samples.py": "numbers with which each part is tame",
     "oracles/alone.py": "draws what the smoothed reference solves",
     "bench/bare.py": "the parts that peers have, too",
     "bench/mujoco_peer.py": INDEPENDENT,

@@ -21,7 +21,7 @@ from arm_emulator.machine.parts.measuring.sensors import ANALOG, SENSOR_PARTS
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.parts.part import Part, PartNumber
 from arm_emulator.machine.scene.known_parts import PARTS
-from oracles.part_samples import draw_part
+from oracles.part_truths import draw_part, get_truth
 
 # Other sensors have more than numbers, and a table has none: test_sensors.py, test_torque_table.py.
 OF_NUMBERS = (*(part for part in PARTS if part is not TorqueTable), *ANALOG)
@@ -232,8 +232,11 @@ def test_a_part_has_its_page_and_a_test_with_it(part: type[Part]) -> None:
         *vars(part).get("named_by", ()),
     )
     name = re.compile("|".join(rf'"{word}"|\b{part.__name__}\b' for word in labels if word))
-    tests = (file for file in TESTS.glob("test_*.py") if file != Path(__file__))
-    assert any(name.search(file.read_text()) for file in tests), f"write test/test_{module}.py"
+    tests = [file.read_text() for file in TESTS.glob("test_*.py") if file != Path(__file__)]
+    truth = get_truth(part)
+    if any(name == "measure" or name.startswith("test_") for name in vars(truth)):
+        tests.append(Path(truth.__file__ or "").read_text())  # `measure` is for test_readings.py
+    assert any(map(name.search, tests)), f"write a test into oracles/parts/{module}.py"
 
 
 def test_rows_state_units_ranges_and_defaults() -> None:

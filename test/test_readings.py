@@ -1,31 +1,20 @@
 """Analog sensors of joints: what each kind reads, with its errors, against the truth."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 
 from arm_emulator import Plant, Refusal, load_scene
 from arm_emulator.machine.parts.measuring.sensors import ANALOG
+from oracles.part_truths import get_truth
 
 TICKS = 2000
 GAIN, STEPS, NOISE, DELAY = 0.02, 2**10, 0.02, 2
 
 
-class Kind(NamedTuple):
-    """A kind: its readings, what they are of, and a size that this exceeds in the motion below."""
-
-    reading: str
-    of: str
-    size: float
-
-
-KINDS = {
-    "tachometer": Kind("link_speed", "v", 1.5),
-    "motor_tachometer": Kind("motor_speed", "omega_m", 120.0),
-    "potentiometer": Kind("link_position", "q", 0.4),
-    "thermometer": Kind("motor_temperature", "temperature", 100.0),
-}
+# What is true of each kind, by its section.
+KINDS = {kind.section: get_truth(kind) for kind in ANALOG if kind.field == "reading"}
 WINDING = {"heat_capacity": 0.2, "thermal_resistance": 2.0, "ambient": 30.0}
 RIGID = {"joints.elbow.gear.stiffness": None, "joints.elbow.gear.damping": None}
 
@@ -37,7 +26,8 @@ def sensors() -> dict[str, Any]:
     overrides: dict[str, Any] = {
         f"joints.{name}.motor.winding": WINDING for name in ("waist", "elbow")
     }
-    for name, (_, _, size) in KINDS.items():
+    for name, kind in KINDS.items():
+        size = kind.EXCEEDED
         scaled = {"offset": -0.2 * size, "range": size, "resolution": size / STEPS}
         overrides[f"joints.waist.{name}"] = {"gain_error": GAIN, **scaled}
         overrides[f"joints.elbow.{name}"] = {"noise": NOISE * size, "delay": DELAY}
@@ -53,36 +43,29 @@ def rows() -> dict[str, np.ndarray]:
     for tick in range(TICKS):
         if tick % 100 == 0:
             command = rng.uniform(-30.0, 30.0, 3)
-        truths = {of: getattr(plant.state, of) for of in ("q", "v", "omega_m")}
-        truths["temperature"] = plant.winding_temperatures
-        readings = {
-            value.reading: getattr(plant.measured, value.reading) for value in KINDS.values()
-        }
-        for name, row in (truths | readings).items():
-            columns.setdefault(name, []).append(np.array(row))
+        for name, kind in KINDS.items():
+            (reading,) = kind.OUTPUTS
+            columns.setdefault(name, []).append(np.array(getattr(plant.measured, reading)))
+            columns.setdefault(f"true {name}", []).append(np.array(kind.measure(plant)))
         plant.exchange(command)
     return {name: np.array(row) for name, row in columns.items()}
 
 
-def test_every_kind_is_there() -> None:
-    assert set(KINDS) == {sensor.section for sensor in ANALOG if sensor.field == "reading"}
-
-
-@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
-def test_it_shows_its_quantity_with_its_errors(rows: dict[str, np.ndarray], kind: Kind) -> None:
-    reading, true = rows[kind.reading][:, 0], rows[kind.of][:, 0]
-    expected = np.clip((1.0 + GAIN) * true - 0.2 * kind.size, -kind.size, kind.size)
-    error = np.abs(reading - expected).max() * STEPS / kind.size
+@pytest.mark.parametrize("name", KINDS)
+def test_it_shows_its_quantity_with_its_errors(rows: dict[str, np.ndarray], name: str) -> None:
+    reading, true, size = rows[name][:, 0], rows[f"true {name}"][:, 0], KINDS[name].EXCEEDED
+    expected = np.clip((1.0 + GAIN) * true - 0.2 * size, -size, size)
+    error = np.abs(reading - expected).max() * STEPS / size
     assert 0.4 < error <= 0.5 * (1.0 + 1e-9), "half a multiple of its resolution, from tick 0 on"
-    at_end = np.abs(expected) == kind.size
+    at_end = np.abs(expected) == size
     assert at_end.any() and not at_end.all(), "its range was reached"
-    assert not rows[kind.reading][:, 1].any(), "a joint without one"
+    assert not rows[name][:, 1].any(), "a joint without one"
 
 
-@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
-def test_its_noise_is_white_and_it_is_late(rows: dict[str, np.ndarray], kind: Kind) -> None:
-    reading, true = rows[kind.reading][:, 2], rows[kind.of][:, 2]
-    noise = (reading[DELAY:] - true[:-DELAY]) / (NOISE * kind.size)
+@pytest.mark.parametrize("name", KINDS)
+def test_its_noise_is_white_and_it_is_late(rows: dict[str, np.ndarray], name: str) -> None:
+    reading, true = rows[name][:, 2], rows[f"true {name}"][:, 2]
+    noise = (reading[DELAY:] - true[:-DELAY]) / (NOISE * KINDS[name].EXCEEDED)
     count = len(noise)
     # Five standard deviations of each statistic.
     assert abs(noise.mean()) < 5 / np.sqrt(count)

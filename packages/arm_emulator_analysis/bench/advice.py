@@ -43,7 +43,7 @@ from arm_emulator_analysis.judged_motions import (
 )
 from arm_emulator_analysis.true_motion import IntegrationMethod
 from oracles import mixtures
-from oracles.part_samples import draw_part, draw_scaled, fit_friction_to_gear
+from oracles.part_truths import draw_part, draw_scaled, fit_friction_to_gear
 from oracles.random_chain import list_moving_joints, write_random_chain
 
 CLASSES = ("friction", "play", "limits", "pmsm", "torque")

@@ -36,7 +36,7 @@ from arm_emulator.servo.servo_arm import ServoArm, Target
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator_fieldbus.drives import Drives as FieldBus
 from arm_emulator_fieldbus.drives_unit import ETHERCAT
-from oracles.part_samples import draw_part
+from oracles.part_truths import draw_part
 
 ROTOR = {"rotor_inertia": 1.0e-4}
 DC = {"resistance": 1.5, "inductance": 3e-3, "torque_constant": 0.1, "back_emf_constant": 0.1}

@@ -39,6 +39,7 @@ from arm_emulator_fmu.unit import make_unit
 from arm_emulator_fmu.variables import list_scalars, list_variables
 from emulator_node.c import make_answered_ticks_unit, make_real_time_ticks_unit
 from oracles.mixtures import write_mixture
+from oracles.part_truths import collect_truths
 from servo_node.c import make_answered_states_unit
 
 KINDS = {"g++": range(11, 16), "clang++": range(14, 22)}
@@ -53,18 +54,9 @@ def compilers(kind: str) -> list[str]:
     return some(command_by_compiler.values(), 1)
 
 
-# Parts that hold another part as their base, by the type of the base.
-DECORATORS = {
-    "HystereticGear": "HystereticGear<ElasticGear, 4>",
-    "Warm": "Warm<Friction>",
-    "Braked": "Braked<Friction>",
-    "CurrentLoop": "CurrentLoop<DcMotor>",
-    "FieldOrientedLoop": "FieldOrientedLoop<Pmsm>",
-    "HeatedMotor": "HeatedMotor<DcMotor>",
-    "InvertedMotor": "InvertedMotor<DcMotor>",
-    "OpenedMotor": "OpenedMotor<DcMotor>",
-    "RippledMotor": "RippledMotor<DcMotor, 1>",
-}
+# Parts that hold another part as their base, with a number of that base; a winding that opens is
+# of every motor.
+ON_BASE = [("OpenedMotor<DcMotor>{}", "R"), *collect_truths("ON_BASE").values()]
 CLANGS = compilers("clang++") or [
     pytest.param(
         "clang++",
@@ -230,21 +222,18 @@ def test_parts_that_differ_in_their_base_are_different(compiler: str, tmp_path: 
         pytest.skip(f"{compiler} is not installed")
     parts = CORE / "parts"
     based = {base for file in parts.rglob("*.hpp") for base in BASED.findall(file.read_text())}
-    assert based == set(DECORATORS)
+    assert based == {made.partition("<")[0] for made, _ in ON_BASE}
     lines = [f'#include "{file.relative_to(CORE)}"' for file in sorted(parts.rglob("*.hpp"))]
-    for name, type_ in DECORATORS.items():
-        number = {"Braked": "Dv", "Warm": "Dv", "HystereticGear": "Kg"}.get(name, "R")
-        # Loops compute their gains when they are made: of a motor, gains and a data sheet.
-        sheet = ", ".join(["1.0"] * {"CurrentLoop": 4, "FieldOrientedLoop": 6}.get(name, 0))
-        initialiser = f"{{{{}}, {{}}, {{{sheet}}}}}" if sheet else "{}"
+    lines.append("using namespace arm;")
+    for k, (made, number) in enumerate(ON_BASE):
         lines += [
-            f"constexpr arm::{type_.replace('<', '<arm::')} of_{name}{initialiser};",
-            f"constexpr auto other_{name} = [] {{",
-            f"  auto other = of_{name};",
+            f"constexpr auto part_{k} = {made};",
+            f"constexpr auto other_{k} = [] {{",
+            f"  auto other = part_{k};",
             f"  other.{number} = 1.0;",
             "  return other;",
             "}();",
-            f"static_assert(!(of_{name} == other_{name}));",
+            f"static_assert(!(part_{k} == other_{k}));",
         ]
     (tmp_path / "parts.cpp").write_text("\n".join(lines))
     command = [compiler, "-std=c++20", "-fsyntax-only", f"-I{CORE}", "parts.cpp"]

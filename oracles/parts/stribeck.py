@@ -1,0 +1,18 @@
+"""Friction that falls as a shaft begins to slide, apart from its declaration."""
+
+from arm_emulator.machine.parts.part import Part
+from oracles.part_truths import Numbers, Rng
+from oracles.parts import friction
+
+NUMBERS = """
+[joints.NAME.friction with stribeck]
+[joints.NAME.motor.friction with stribeck]
+viscous                 N m s/rad   0           >= 0
+coulomb                 N m         0           >= 0
+breakaway               N m         coulomb     >= coulomb
+stribeck                rad/s       needed      > 0
+"""
+
+
+def draw(part: type[Part], rng: Rng) -> Numbers:
+    return friction.draw(part, rng) | {"stribeck": friction.find_usual_speed(part)}
