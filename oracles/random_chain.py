@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,29 @@ LINK = """
       <inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="{ixy}" ixz="{ixz}" iyz="{iyz}"/>
     </inertial>
   </link>"""
+
+
+def write_slides(
+    names: Iterable[str],
+    axes: Iterable[str] = ("1 0 0",),
+    kinds: Iterable[str] = ("prismatic",),
+    com: str = "0 0 0",
+) -> str:
+    """Links of 2 kg on the base that do not feel each other, each along the next of the axes.
+
+    Args:
+        names: of the joints.
+        axes: of the joints, in turn.
+        kinds: of the joints, in turn.
+        com: centre of mass of each link, in its frame [m].
+    """
+    text = '<robot name="slides"><link name="base"/>'
+    for name, axis, kind in zip(names, cycle(axes), cycle(kinds), strict=False):
+        text += LINK.format(
+            name=name, kind=kind, xyz="0 0 0", rpy="0 0 0", parent="base", axis=axis,
+            com=com, com_rpy="0 0 0", mass=2.0, ixx=0.1, iyy=0.1, izz=0.1, ixy=0, ixz=0, iyz=0,
+        )  # fmt: skip
+    return text + "</robot>"
 
 
 def write_random_chain(rng: np.random.Generator, joints: int) -> str:

@@ -1,8 +1,6 @@
 """Machines for tests: URDFs and scenes made from a few numbers."""
 
 import shutil
-from collections.abc import Iterable
-from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -80,29 +78,6 @@ def make_link_urdf(mass: float = 2.0, com: float = 0.3, inertia: float = 0.05) -
             ixy=0, ixz=0, iyz=0,
         )
     }</robot>"""  # fmt: skip
-
-
-def slides_urdf(
-    names: Iterable[str],
-    axes: Iterable[str] = ("1 0 0",),
-    kinds: Iterable[str] = ("prismatic",),
-    com: str = "0 0 0",
-) -> str:
-    """Links of 2 kg on the base that do not feel each other, each along the next of the axes.
-
-    Args:
-        names: of the joints.
-        axes: of the joints, in turn.
-        kinds: of the joints, in turn.
-        com: centre of mass of each link, in its frame [m].
-    """
-    text = '<robot name="slides"><link name="base"/>'
-    for name, axis, kind in zip(names, cycle(axes), cycle(kinds), strict=False):
-        text += LINK.format(
-            name=name, kind=kind, xyz="0 0 0", rpy="0 0 0", parent="base", axis=axis,
-            com=com, com_rpy="0 0 0", mass=2.0, ixx=0.1, iyy=0.1, izz=0.1, ixy=0, ixz=0, iyz=0,
-        )  # fmt: skip
-    return text + "</robot>"
 
 
 GANTRY = "x", "y", "z"  # joints of gantry_urdf(), base to tool

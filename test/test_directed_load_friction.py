@@ -10,7 +10,7 @@ import pytest
 from balance import balance_of
 from draws import FULL, some, with_slow
 from lossy_joint import Law, LossyGear, LossyGearDriven, Rotor
-from machines import slides_urdf, write_scene
+from machines import write_scene
 from scipy.optimize import brentq
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
@@ -21,6 +21,7 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from bench.published_joints import JOINTS, Published
 from oracles.bam import Bam
+from oracles.random_chain import write_slides
 
 MASS, WEIGHT = 2.0, 19.62  # kg, N
 PERIOD, ROWS = 0.02, 15
@@ -43,7 +44,7 @@ def scene_of(folder: Path, *cases: Case, weight: float = WEIGHT, **integrator: A
         (motor if at_rotor else section)["friction"] = friction
         sections[f"joint{k}"] = section
     file = write_scene(
-        folder, slides_urdf(sections), sections, servo_period=PERIOD,
+        folder, write_slides(sections), sections, servo_period=PERIOD,
         gravity=[-weight / MASS, 0.0, 0.0], energy_flow=True,
         integrator={"scheme": "rosenbrock", "dt": PERIOD / 40, "events": "located", **integrator},
         varied=["joints.*"],  # one library for all draws
@@ -467,7 +468,7 @@ def test_loads_that_a_rigid_gear_has_not_are_refused(
 
 
 def test_load_friction_of_a_joint_without_a_motor_is_refused(tmp_path: Path) -> None:
-    file = write_scene(tmp_path, slides_urdf(["joint"]), {"joint": {"friction": {"load": 0.1}}})
+    file = write_scene(tmp_path, write_slides(["joint"]), {"joint": {"friction": {"load": 0.1}}})
     with pytest.raises(Refusal, match=r"friction\.load must belong to a joint with a motor"):
         load_scene(file)
 

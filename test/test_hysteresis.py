@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import some, with_slow
-from machines import LINK_INERTIA, make_link_urdf, slides_urdf, write_scene
+from machines import LINK_INERTIA, make_link_urdf, write_scene
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -15,6 +15,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.parts.gears.hysteresis import Hysteresis
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
+from oracles.random_chain import write_slides
 
 PERIOD = 1e-2  # s, over which a voltage is held
 STEPS = (80, 160, 320, 640)  # in a period
@@ -260,7 +261,7 @@ def test_weights_rest_on_wound_up_gears_as_loops_have_it(tmp_path: Path, seed: i
                                     "elements": elements}},
         }  # fmt: skip
     file = write_scene(
-        tmp_path, slides_urdf(joints), joints, external_wrench=True, varied=["joints.*"]
+        tmp_path, write_slides(joints), joints, external_wrench=True, varied=["joints.*"]
     )
     plant = Plant(load_scene(file))
     for name, (*_, weight) in zip(joints, numbers, strict=True):

@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import FULL
-from machines import slides_urdf, write_scene
+from machines import write_scene
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.faults.known import FAULTS
 from arm_emulator.machine.plant.inputs import find_input, list_further_inputs
 from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator.machine.scene.known_parts import MOTORS
+from oracles.random_chain import write_slides
 
 ROTOR = {"rotor_inertia": 1e-4}
 DC = {"resistance": 1.0, "torque_constant": 0.05, "back_emf_constant": 0.05, **ROTOR}
@@ -64,7 +65,7 @@ BEGIN, END = 20, 80  # of faults and of the motion [servo periods]
 def scene_of(folder: Path, motors: dict[str, Any], parts: dict[str, Any], **keys: Any) -> Scene:
     joints = {name: {"motor": motor, **parts} for name, motor in motors.items()}
     keys = {"integrator": {"scheme": "rosenbrock", "dt": 2e-4}, "supply_voltage": 24.0, **keys}
-    return load_scene(write_scene(folder, slides_urdf(motors), joints, **keys))
+    return load_scene(write_scene(folder, write_slides(motors), joints, **keys))
 
 
 def machine(folder: Path, **keys: Any) -> Scene:

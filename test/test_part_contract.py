@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from draws import with_slow
-from machines import GRAVITY, slides_urdf
+from machines import GRAVITY
 
 from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.parts.bearing import Deflection
@@ -27,6 +27,7 @@ from oracles.mixtures import (
     run_rows,
     write_scene,
 )
+from oracles.random_chain import write_slides
 
 Parts = tuple[type[Part], ...]
 DEFLECTED = 1e-6  # m or rad, by the stiffest bearing at least: a thousand times what is resolved
@@ -49,7 +50,7 @@ def scene_of(folder: Path, parts: Parts, steps: int) -> Scene:
     joints = {f"joint{k}": draw_alone(part, 0) for k, part in enumerate(parts)}
     axes = [choose_axis(k, part) for k, part in enumerate(parts)]
     kinds = ["continuous" if issubclass(part, Deflection) else "prismatic" for part in parts]
-    urdf = slides_urdf(joints, axes, kinds, com="0.1 0.2 0.15")
+    urdf = write_slides(joints, axes, kinds, com="0.1 0.2 0.15")
     file = write_scene(folder, urdf, joints, gravity=GRAVITY)
     scene = load_scene(file, {"integrator.dt": PERIOD / steps, "integrator.events": "located"})
     for part, joint in zip(parts, scene.joints, strict=True):

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import some, with_slow
-from machines import make_link_urdf, slides_urdf, write_scene
+from machines import make_link_urdf, write_scene
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
+from oracles.random_chain import write_slides
 
 PERIOD = 1e-2  # s
 RATIO = 0.05
@@ -164,7 +165,7 @@ def test_friction_of_a_rotor_that_moves_with_its_link_is_that_of_the_link(tmp_pa
     own = {"coulomb": dry, "breakaway": 1.5 * dry, "viscous": viscous}
     at_rotor = {"motor": {**motor, "friction": own}, "gear": {"ratio": ratio}}
     joints = {"at_link": at_link, "at_rotor": at_rotor}
-    file = write_scene(tmp_path, slides_urdf(joints), joints, servo_period=0.1)
+    file = write_scene(tmp_path, write_slides(joints), joints, servo_period=0.1)
     q = Plant(load_scene(file, {"integrator.dt": 1e-3})).run(rows.repeat(2, axis=1), 100)
     assert np.ptp(q) > 0.01, "the link shall move"
     assert q[:, 1] == pytest.approx(q[:, 0], rel=1e-9), "friction of rotor and of link differ"

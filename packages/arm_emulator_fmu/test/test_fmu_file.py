@@ -10,7 +10,7 @@ import pytest
 from draws import FULL
 from fmu_client import Fmu, Instance, rich_machine
 from fuzz.cores import random_machine
-from machines import slides_urdf, write_scene
+from machines import write_scene
 from own_fmu import fmu, scene
 from random_scenes import NAMES as ODD_NAMES
 from random_scenes import draw
@@ -22,6 +22,7 @@ from arm_emulator_fmu.export import export
 from arm_emulator_fmu.model_description import describe_model, describe_model_2
 from arm_emulator_fmu.units import find_powers
 from arm_emulator_fmu.variables import list_scalars, list_variables
+from oracles.random_chain import write_slides
 
 __all__ = ["fmu", "scene"]  # fixtures
 
@@ -124,7 +125,7 @@ def test_equal_start_values_before_zeros_are_those_of_the_scene(
     names, friction = ("a", "b"), {"viscous": 0.1, "coulomb": 0.2}
     joints = {name: {"friction": friction, "drag": {"coefficient": 1.0}} for name in names}
     varied = {"varied": ["joints.*.friction.viscous"], "faults": ["*"], "integrator": {"dt": 5e-4}}
-    scene = load_scene(write_scene(tmp_path, slides_urdf(names), joints, **varied))
+    scene = load_scene(write_scene(tmp_path, write_slides(names), joints, **varied))
     export(scene, tmp_path / "slides.fmu", "native")
     instance = Instance(Fmu(tmp_path / "slides.fmu", tmp_path / "unpacked"))
     shown = {number.name: float(instance.get(number.name)[0]) for number in scene.varied}
