@@ -3,9 +3,22 @@
 import gc
 import os
 import signal
+import sys
 from collections.abc import Generator, Iterator
+from pathlib import Path
 
 import pytest
+
+# Packages, and the folders with what tests import.
+IMPORTED = (
+    "packages/arm_emulator_*",
+    "test",
+    "packages/test",
+    "packages/*/test",
+    "packages/*/test/peers",
+)
+for folders in IMPORTED:
+    sys.path[:0] = map(str, sorted(Path(__file__).parent.glob(folders)))
 
 # Before NumPy is loaded: matrices of tests are small, and threads that work on them together beside
 # other work mostly wait for each other, spinning.

@@ -10,12 +10,10 @@ from setuptools import find_packages, setup
 
 NAME = "arm_emulator"
 HERE = Path(__file__).resolve().parent  # colcon links this file elsewhere
-# In packages/.
-BESIDE = (
-    "analysis", "campaign", "export", "fieldbus", "firmware", "fleet", "fmu", "identification",
-    "page",
-)  # fmt: skip
-NEEDS_FLEET = ("campaign", "identification")
+BESIDE = {  # by their names without `arm_emulator_`: the setup of each package in packages/
+    file.parent.name.removeprefix(f"{NAME}_"): file.read_text()
+    for file in sorted(HERE.glob(f"packages/{NAME}_*/setup.py"))
+}
 PACKAGES = ("arm_emulator", "emulator_node", "servo_node", "motion_controller_node")
 
 
@@ -38,7 +36,8 @@ def list_wheels(part: str) -> list[str]:
 def require_beside(package: str, extra: str = "") -> list[str]:
     """Require a package of this checkout, in packages/, and the one that it needs."""
     name = f"{NAME}_{package}"
-    needed = require_beside("fleet") if package in NEEDS_FLEET else []
+    needs_fleet = package != "fleet" and f'"{NAME}_fleet"' in BESIDE[package]
+    needed = require_beside("fleet") if needs_fleet else []
     return [*needed, f"{name}{extra} @ {(HERE / 'packages' / name).as_uri()}"]
 
 

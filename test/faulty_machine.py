@@ -1,5 +1,6 @@
 """A machine that has every fault, for tests without a network."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,12 @@ from oracles.random_chain import LINK
 NAMES = ("shoulder", "elbow", "wrist")
 
 
-def chain_urdf() -> str:
+def chain_urdf(beside: Iterable[str] = ()) -> str:
+    """Return a chain of three links, and links beside it, each on the base."""
     text, parent = '<robot name="all"><link name="base"/>', "base"
-    for name, axis in zip(NAMES, ("0 0 1", "0 1 0", "0 1 0"), strict=True):
+    axes = dict(zip(NAMES, ("0 0 1", "0 1 0", "0 1 0"), strict=True))
+    for name in (*NAMES, *beside):
+        axis, parent = axes.get(name, "0 0 1"), parent if name in NAMES else "base"
         text += LINK.format(
             name=name, kind="continuous", parent=parent, xyz="0.1 0.2 0.3", rpy="0.3 -0.5 1.2",
             axis=axis, com="0.05 0.1 0.02", com_rpy="0 0 0", mass=1.5,
@@ -72,26 +76,28 @@ def everything(folder: Path, **more: Any) -> Scene:
         "brake": {"torque": 0.5},
         **encoders, **sensors,
     }  # fmt: skip
-    further = {
-        kind.section: draw_part(kind, rng)
-        for kind in EXTRAS
-        if kind.list_faults()
-        and kind.shaft == "link"
-        and "." not in kind.section
-        and kind.section not in {**shoulder, **elbow}
-    }
     wrist = {
         "start": -0.7,
         "motor": {"kind": "torque", "rotor_inertia": 1e-4, "bandwidth": 200.0, "torque_limit": 2.0},
-        **further,
+        "drag": {"coefficient": 1.5},
         "gear": {"ratio": 0.1},
         "brake": {"torque": 0.2},
         **encoders, **analog,
     }  # fmt: skip
+    # Others, each alone, so that the chain moves as without them.
+    beside = {
+        kind.section: {"start": 0.1, kind.section: draw_part(kind, rng)}
+        for kind in EXTRAS
+        if kind.list_faults()
+        and kind.shaft == "link"
+        and "." not in kind.section
+        and kind.section not in {**shoulder, **elbow, **wrist}
+    }
     imu = {"noise": 0.01, "range": 1.0}
     return load_scene(
         write_scene(
-            folder, chain_urdf(), dict(zip(NAMES, (shoulder, elbow, wrist), strict=True)),
+            folder, chain_urdf(beside),
+            {**dict(zip(NAMES, (shoulder, elbow, wrist), strict=True)), **beside},
             tool="wrist_link", gravity=GRAVITY, seed=3,
             payload={"mass": 1.0, "com": [0.1, 0.0, 0.1]},
             imus={"hand": {"link": "elbow_link", "accelerometer": imu, "gyroscope": imu}},

@@ -47,13 +47,24 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return make_scene(tmp_path_factory.mktemp("everything"))
 
 
+# As torques some V or A are a lot for the wrist.
+SIZES = {"shoulder": 15.0, "elbow": 10.0, "wrist": 1.0}
+
+
+def sizes_of(scene: Scene) -> np.ndarray:
+    return np.array([SIZES.get(name, 0.0) for name in scene.joint_names])
+
+
+def commands_at(scene: Scene, tick: int) -> np.ndarray:
+    return sizes_of(scene) * np.sin(0.3 * tick + np.arange(len(scene.joints)))
+
+
 def drive(plant: Plant, ticks: range) -> list[bytes]:
     """Go on under commands that are a function of the tick, the power cut on the way."""
     observed = []
     for tick in ticks:
         plant.powered = tick % 40 < 25
-        # As torques some V or A are a lot for the wrist.
-        plant.exchange(np.array([15.0, 10.0, 1.0]) * np.sin(0.3 * tick + np.arange(3.0)), tick)
+        plant.exchange(commands_at(plant.scene, tick), tick)
         measured = plant.measured
         rows = [getattr(measured, name) for name in KNOWN]
         rows += [plant.state.q, plant.state.v, plant.state.current, plant.winding_temperatures]
@@ -181,8 +192,7 @@ def test_faults_in_a_fleet_are_those_of_machines_alone(scene: Scene) -> None:
             for arm, fault in enumerate(scene.faults):
                 fleet.set_parameter(fault.varied.name, magnitude_of(fault), arms=[arm])
         fleet.powered = tick % 40 < 25
-        row = np.array([15.0, 10.0, 1.0]) * np.sin(0.3 * tick + np.arange(3.0))
-        fleet.exchange(np.tile(row, (len(fleet), 1)), tick)
+        fleet.exchange(np.tile(commands_at(scene, tick), (len(fleet), 1)), tick)
     for arm, fault in enumerate(scene.faults):
         plant.reset()
         drive(plant, range(BEGIN))
@@ -244,7 +254,7 @@ def record(folder: Path, session: Session, rng: np.random.Generator) -> set[str]
                         observed.add(fault.kind.name)
                         number += 1
                         bag.event(run + 1, number, MachineEvent.KIND_SET_VARIED)
-                command = (np.array([15.0, 10.0, 1.0]) * rng.uniform(-1.0, 1.0, 3)).tolist()
+                command = (sizes_of(session.scene) * rng.uniform(-1.0, 1.0, len(names))).tolist()
                 bag.command(tick, command, input_names=["command_d"], inputs=[0.0] * len(names))
                 session.offer(tick, names, command)
                 session.advance()
