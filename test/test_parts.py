@@ -22,6 +22,8 @@ from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.parts.part import Part, PartNumber
 from arm_emulator.machine.scene.known_parts import PARTS
 from oracles.part_truths import draw_part, get_truth
+from arm_emulator.machine.parts.registry import list_kinds
+from oracles.part_truths import draw_part, get_truth, list_truths
 
 # Other sensors have more than numbers, and a table has none: test_sensors.py, test_torque_table.py.
 OF_NUMBERS = (*(part for part in PARTS if part is not TorqueTable), *ANALOG)
@@ -238,6 +240,12 @@ def test_a_part_has_its_page_and_a_test_with_it(part: type[Part]) -> None:
     assert own or any(name.search(file.read_text()) for file in tests), (
         f"write a test into oracles/parts/{module}.py"
     )
+
+
+def test_every_truth_is_of_a_part() -> None:
+    """One whose part has another name, or is gone, would judge nothing."""
+    owners = {part.__module__.rpartition(".")[2] for part in (*list_kinds(Part), *SENSOR_PARTS)}
+    assert set(list_truths()) == owners | {"analog_sensor"}  # what six of them share
 
 
 def test_rows_state_units_ranges_and_defaults() -> None:
