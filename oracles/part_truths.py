@@ -1,4 +1,4 @@
-"""What is true of each part, written by hand: the modules of `parts`, and random numbers by them.
+"""Truths of each part, written by hand: the modules of `parts`, and random numbers by them.
 
 A module is called as the part's in `arm_emulator/machine/parts` and has, of these, what the part
 has; none may follow from the part's declaration:
@@ -60,7 +60,7 @@ def get_truth(part: type[Part]) -> ModuleType:
 
 
 def collect_truths(name: str) -> dict[str, Any]:
-    """Return what all modules that have something of a name say of it, by module."""
+    """Return the values of a name in all modules that have it, by module."""
     return {
         module: getattr(truth, name)
         for module, truth in list_truths().items()

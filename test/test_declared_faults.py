@@ -14,10 +14,10 @@ import pytest
 from arm_emulator.machine.faults.known import FAULTS
 from oracles.part_truths import collect_truths, read_blocks
 
-# Of the numbers of several parts, and of what is no part, as oracles/part_truths.py says.
+# Of the numbers of several parts, and of what is no part, in the form of oracles/part_truths.py.
 # Probabilities p and m of causes that do not depend on each other make 1 - (1 - p) (1 - m). Flux
 # goes with the number of turns, inductance with its square. An edge that is missed with the
-# probability 1/2 tells nothing.
+# probability 1/2 shows nothing.
 TABLE = """
 [of joints]
 gear_breaks             1           1       0 to 1      gear.stiffness (1 - m) x

@@ -26,7 +26,7 @@ from emulator_node.node import EmulatorParameters
 from oracles.part_truths import collect_truths, read_blocks
 from servo_node.node import ServoNodeParameters
 
-# Of all that is no part, as oracles/part_truths.py says.
+# Of all that is no part, in the form of oracles/part_truths.py.
 TABLE = """
 [joints.NAME]
 start                   rad or m    0           -1e4 to 1e4

@@ -13,7 +13,7 @@ TICKS = 2000
 GAIN, STEPS, NOISE, DELAY = 0.02, 2**10, 0.02, 2
 
 
-# What is true of each kind, by its section.
+# The truth of each kind, by its section.
 KINDS = {kind.section: get_truth(kind) for kind in ANALOG if kind.field == "reading"}
 WINDING = {"heat_capacity": 0.2, "thermal_resistance": 2.0, "ambient": 30.0}
 RIGID = {"joints.elbow.gear.stiffness": None, "joints.elbow.gear.damping": None}

@@ -1,1 +1,1 @@
-"""What is true of each part, in a file called as the part's, which imports no declaration."""
+"""Truths of each part, in a file called as the part's, written apart from its declaration."""

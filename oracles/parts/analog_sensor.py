@@ -1,4 +1,4 @@
-"""What sensors with an amplifier and a converter have in common; U: unit of the quantity."""
+"""Truths of all sensors with an amplifier and a converter; U: unit of the quantity."""
 
 NUMBERS_OF_CONVERTERS = """
 gain_error              1           none        -1 to 1
