@@ -10,7 +10,7 @@ has; none may follow from the part's declaration:
   the change of each number x, the first number in the line of the name. S is the sensor's section;
 - `OUTPUTS`, `INPUTS`: units by name, of outputs where the joint turns and where it slides, "" of
   counts, flags, bits and of what is in the unit of an input;
-- `draw(part, rng)`: its section in a random machine, where numbers depend on each other;
+- `draw_section(part, rng)`: its section in a random machine, where numbers depend on each other;
 - `EXCEEDED`, `measure(plant)`: a size that the quantity of a sensor exceeds in the motion of
   test/test_readings.py, and its true values by joint;
 - `ON_BASE`: a C++ part of it that has another part as its base, and a number of that base;
@@ -37,8 +37,8 @@ Numbers = dict[str, Any]
 USUAL = 4  # column of usual values
 
 
-class Block(NamedTuple):
-    """A part of a table: what has these rows, letters that stand for words, columns by row."""
+class TruthTable(NamedTuple):
+    """A block of tables: its owner, letters that stand for words, columns by row."""
 
     owner: str
     letters: dict[str, str]
@@ -68,7 +68,7 @@ def collect_truths(name: str) -> dict[str, Any]:
     }
 
 
-def read_blocks(table: str) -> Iterator[Block]:
+def read_tables(table: str) -> Iterator[TruthTable]:
     """Yield the blocks of a table, one for each heading."""
     for block in table.strip("\n").split("\n\n"):
         lines = block.splitlines()
@@ -81,7 +81,7 @@ def read_blocks(table: str) -> Iterator[Block]:
                 for letter, word in words.items():
                     line = re.sub(rf"(?<![^\W_]){letter}(?![^\W_])", word, line)
                 rows.append(re.split(r"  +", line))
-            yield Block(owner, words, rows)
+            yield TruthTable(owner, words, rows)
 
 
 def draw_scaled(rng: Rng, low: float, high: float) -> float:
@@ -92,8 +92,8 @@ def draw_scaled(rng: Rng, low: float, high: float) -> float:
 def draw_part(part: type[Part], rng: Rng) -> Numbers:
     """Return the section of a random part."""
     truth = get_truth(part)
-    if hasattr(truth, "draw"):
-        numbers: Numbers = truth.draw(part, rng)
+    if hasattr(truth, "draw_section"):
+        numbers: Numbers = truth.draw_section(part, rng)
         return numbers
     return _draw_sized(part, rng) if issubclass(part, Motor) else _draw_usual(part, truth, rng)
 
@@ -102,7 +102,7 @@ def _draw_usual(part: type[Part], truth: ModuleType, rng: Rng) -> Numbers:
     """Return the section of a part, with half of what may be absent."""
     usual = {
         row[0]: row[USUAL].split(" to ")
-        for block in read_blocks(truth.NUMBERS)
+        for block in read_tables(truth.NUMBERS)
         for row in block.rows
         if block.owner == part.name_place() and len(row) > USUAL
     }

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from arm_emulator.machine.faults.known import FAULTS
-from oracles.part_truths import collect_truths, read_blocks
+from oracles.part_truths import collect_truths, read_tables
 
 # Of the numbers of several parts, and of what is no part, in the form of oracles/part_truths.py.
 # Probabilities p and m of causes that do not depend on each other make 1 - (1 - p) (1 - m). Flux
@@ -82,7 +82,7 @@ def formula(text: str) -> Callable[[float, float], float]:
 
 def faults_in(tables: Iterable[str]) -> dict[str, Written]:
     result: dict[str, Written] = {}
-    for owner, _, rows in (block for table in tables for block in read_blocks(table)):
+    for owner, _, rows in (block for table in tables for block in read_tables(table)):
         name = ""
         for *numbers, change in rows:
             place, _, text = change.partition(" ")

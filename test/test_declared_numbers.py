@@ -23,7 +23,7 @@ from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.drive_parameters import DriveParameters
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 from emulator_node.node import EmulatorParameters
-from oracles.part_truths import collect_truths, read_blocks
+from oracles.part_truths import collect_truths, read_tables
 from servo_node.node import ServoNodeParameters
 
 # Of all that is no part, in the form of oracles/part_truths.py.
@@ -152,7 +152,7 @@ class Row(NamedTuple):
 
 def numbers_in(tables: Iterable[str]) -> dict[str, dict[str, Row]]:
     result: dict[str, dict[str, Row]] = {}
-    for owner, _, rows in (block for table in tables for block in read_blocks(table)):
+    for owner, _, rows in (block for table in tables for block in read_tables(table)):
         assert owner not in result, f"{owner} has one heading"
         result[owner] = dict(map(row_of, rows))
         assert len(result[owner]) == len(rows), f"{owner} has each number once"

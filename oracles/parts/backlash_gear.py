@@ -17,5 +17,5 @@ backlash_grows          rad         1e-3    0 to 1      gear.backlash x + m
 """
 
 
-def draw(part: type[Part], rng: Rng) -> Numbers:
-    return elastic_gear.draw(part, rng) | {"backlash": draw_scaled(rng, 1e-3, 2e-2)}
+def draw_section(part: type[Part], rng: Rng) -> Numbers:
+    return elastic_gear.draw_section(part, rng) | {"backlash": draw_scaled(rng, 1e-3, 2e-2)}

@@ -19,7 +19,7 @@ OUTPUTS = {"brake_closed": ("", "")}
 ON_BASE = "Braked<Friction>{}", "Dv"
 
 
-def draw(_: type[Part], rng: Rng) -> Numbers:
+def draw_section(_: type[Part], rng: Rng) -> Numbers:
     """With delays of whole steps of 0.5 ms."""
     close, release = (5e-4 * int(n) for n in rng.integers(0, 30, 2))
     return {"torque": draw_scaled(rng, 0.02, 0.5), "close_delay": close, "release_delay": release}

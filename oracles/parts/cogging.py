@@ -8,5 +8,5 @@ NUMBERS = """
 """
 
 
-def draw(_: type[Part], rng: Rng) -> Numbers:
+def draw_section(_: type[Part], rng: Rng) -> Numbers:
     return {"waves": [[4.0, draw_scaled(rng, 1e-3, 1e-2), float(rng.uniform(0.0, 6.0))]]}

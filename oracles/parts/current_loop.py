@@ -13,7 +13,7 @@ emf_feedforward         1           1           0 to 1
 ON_BASE = "CurrentLoop<DcMotor>{{}, {}, {1.0, 1.0, 1.0, 1.0}}", "R"
 
 
-def draw(_: type[Part], rng: Rng) -> Numbers:
+def draw_section(_: type[Part], rng: Rng) -> Numbers:
     """By its bandwidth, or by its gains."""
     if rng.random() < 0.5:
         return {"bandwidth": draw_scaled(rng, 100.0, 1000.0)}

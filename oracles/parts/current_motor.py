@@ -14,6 +14,6 @@ current_limit           A           none        > 0
 INPUTS = {"command": "A"}
 
 
-def draw(_: type[Part], rng: Rng) -> Numbers:
+def draw_section(_: type[Part], rng: Rng) -> Numbers:
     numbers = {"torque_constant": 0.05, "current_limit": 10.0}
     return {**numbers, **({"bandwidth": 200.0} if rng.random() < 0.5 else {})}

@@ -15,7 +15,7 @@ current_limit           A           none        > 0
 INPUTS = {"command": "V"}
 
 
-def draw(_: type[Part], rng: Rng) -> Numbers:
+def draw_section(_: type[Part], rng: Rng) -> Numbers:
     inductive = rng.random() < 0.5
     return {
         "resistance": draw_scaled(rng, 0.5, 2.0),

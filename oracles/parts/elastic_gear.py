@@ -12,7 +12,7 @@ damping                 N m s/rad   0           >= 0
 """
 
 
-def draw(part: type[Part], rng: Rng) -> Numbers:
-    gear = rigid_gear.draw(part, rng)
+def draw_section(part: type[Part], rng: Rng) -> Numbers:
+    gear = rigid_gear.draw_section(part, rng)
     stiffness, damping = draw_scaled(rng, 1e3, 1e4), draw_scaled(rng, 0.5, 10.0)
     return gear | {"stiffness": stiffness, "damping": damping}

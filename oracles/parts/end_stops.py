@@ -19,7 +19,7 @@ stop_moves              rad         0.1     -10 to 10   end_stops.lower x + m
 """
 
 
-def draw(_: type[Part], rng: Rng) -> Numbers:
+def draw_section(_: type[Part], rng: Rng) -> Numbers:
     scaled = draw_scaled(rng, 0.02, 0.2)
     return {
         "lower": -scaled,

@@ -10,4 +10,4 @@ integral_gain           V/(A s)     none        >= 0
 emf_feedforward         1           1           0 to 1
 """
 ON_BASE = "FieldOrientedLoop<Pmsm>{{}, {}, {1.0, 1.0, 1.0, 1.0, 1.0, 1.0}}", "R"
-draw = current_loop.draw
+draw_section = current_loop.draw_section

@@ -13,7 +13,7 @@ breakaway               N m         coulomb     >= coulomb
 """
 
 
-def draw(part: type[Part], rng: Rng) -> Numbers:
+def draw_section(part: type[Part], rng: Rng) -> Numbers:
     dry_scale, viscous = (0.01, 1e-5) if issubclass(part, OfRotor) else (0.6, 0.1)
     dry = dry_scale * draw_scaled(rng, 0.3, 3.0)
     return {"coulomb": dry, "breakaway": 1.3 * dry, "viscous": viscous}

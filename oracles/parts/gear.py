@@ -9,5 +9,5 @@ ratio                   link turns per motor turn  needed  size > 0, <= 1000
 """
 
 
-def draw(_: type[Part], rng: Rng) -> Numbers:
+def draw_section(_: type[Part], rng: Rng) -> Numbers:
     return {"ratio": draw_scaled(rng, 0.01, 0.04) * float(rng.choice([-1.0, 1.0]))}

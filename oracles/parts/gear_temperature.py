@@ -21,7 +21,7 @@ air_around_gear_warms   K           20      -100 to 100  gear.thermal.ambient x 
 ON_BASE = "Warm<Friction>{}", "Dv"
 
 
-def draw(_: type[Part], rng: Rng) -> Numbers:
+def draw_section(_: type[Part], rng: Rng) -> Numbers:
     """A small body, which friction heats by some K in the seconds of a test."""
     return {
         "heat_capacity": draw_scaled(rng, 0.05, 0.5),

@@ -12,8 +12,8 @@ damping                 N m s/rad   0           >= 0
 """
 
 
-def draw(part: type[Part], rng: Rng) -> Numbers:
-    gear = elastic_gear.draw(part, rng)
+def draw_section(part: type[Part], rng: Rng) -> Numbers:
+    gear = elastic_gear.draw_section(part, rng)
     of_motor = [2.0, 0.1 * gear["ratio"], float(rng.uniform(0.0, 6.0))]
     of_link = [3.0, draw_scaled(rng, 1e-4, 1e-2)]
     return gear | {"kinematic_error": {"motor": [of_motor], "link": [of_link]}}

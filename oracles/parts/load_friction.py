@@ -24,11 +24,11 @@ exponent                1           none        0.5 to 20
 """
 
 
-def draw(part: type[Part], rng: Rng) -> Numbers:
+def draw_section(part: type[Part], rng: Rng) -> Numbers:
     """With and without a fall of the dry torque, half of them with keys of the direction."""
     falls = {"stribeck": friction.find_usual_speed(part)} if rng.random() < 0.5 else {}
     directed = _draw_directions(part, rng.spawn(1)[0], falls=bool(falls))
-    return friction.draw(part, rng) | {"load": 0.2, **falls, **directed}
+    return friction.draw_section(part, rng) | {"load": 0.2, **falls, **directed}
 
 
 def _draw_directions(part: type[Part], rng: Rng, *, falls: bool) -> Numbers:

@@ -20,7 +20,7 @@ seal_grips              N m         1       0 to 1e6    lugre.coulomb x + m
 """
 
 
-def draw(part: type[Part], rng: Rng) -> Numbers:
+def draw_section(part: type[Part], rng: Rng) -> Numbers:
     if issubclass(part, LinkLuGre):
         torque = draw_scaled(rng, 0.2, 2.0)
         bend, damping, speed = (2e-3, 2e-2), (0.3, 3.0), {}

@@ -23,7 +23,7 @@ OUTPUTS = {"current_d": ("A", "A"), "applied_d": ("", "")}
 INPUTS = {"command": "V", "command_d": "V"}
 
 
-def draw(_: type[Part], rng: Rng) -> Numbers:
+def draw_section(_: type[Part], rng: Rng) -> Numbers:
     return {
         "resistance": draw_scaled(rng, 0.3, 1.0),
         "inductance_d": draw_scaled(rng, 1e-3, 3e-3),

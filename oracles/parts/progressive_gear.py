@@ -13,6 +13,6 @@ cubic_stiffness         N m/rad3    needed      >= 0
 """
 
 
-def draw(part: type[Part], rng: Rng) -> Numbers:
-    gear = elastic_gear.draw(part, rng)
+def draw_section(part: type[Part], rng: Rng) -> Numbers:
+    gear = elastic_gear.draw_section(part, rng)
     return gear | {"cubic_stiffness": gear["stiffness"] * draw_scaled(rng, 1e2, 1e4)}

@@ -16,7 +16,7 @@ OUTPUTS = {"applied_b": ("", "")}
 INPUTS = {"command": "A", "command_b": "A"}
 
 
-def draw(_: type[Part], rng: Rng) -> Numbers:
+def draw_section(_: type[Part], rng: Rng) -> Numbers:
     return {
         "torque_per_current": draw_scaled(rng, 0.03, 0.1),
         "teeth": int(rng.integers(1, 5)),

@@ -14,5 +14,5 @@ stribeck                rad/s       needed      > 0
 """
 
 
-def draw(part: type[Part], rng: Rng) -> Numbers:
-    return friction.draw(part, rng) | {"stribeck": friction.find_usual_speed(part)}
+def draw_section(part: type[Part], rng: Rng) -> Numbers:
+    return friction.draw_section(part, rng) | {"stribeck": friction.find_usual_speed(part)}

@@ -12,5 +12,5 @@ torque_limit            N m         none        > 0
 INPUTS = {"command": "N m"}
 
 
-def draw(_: type[Part], rng: Rng) -> Numbers:
+def draw_section(_: type[Part], rng: Rng) -> Numbers:
     return {"torque_limit": 0.5, **({"bandwidth": 200.0} if rng.random() < 0.5 else {})}

@@ -9,5 +9,5 @@ NUMBERS = """
 ON_BASE = "RippledMotor<DcMotor, 1>{}", "R"
 
 
-def draw(_: type[Part], rng: Rng) -> Numbers:
+def draw_section(_: type[Part], rng: Rng) -> Numbers:
     return {"waves": [[6.0, float(rng.uniform(0.01, 0.1)), 1.0]]}

@@ -11,7 +11,7 @@ NUMBERS = """
 """
 
 
-def draw(_: type[Part], rng: Rng) -> Numbers:
+def draw_section(_: type[Part], rng: Rng) -> Numbers:
     angles = np.cumsum(rng.uniform(0.05, 0.4, int(rng.integers(MIN_POINTS, 12)))) - 1.5
     torques = rng.uniform(-5.0, 5.0, len(angles))
     periodic = bool(rng.random() < 0.5)
