@@ -27,7 +27,6 @@ import arm_emulator.machine.plant.compiler as of_machines
 from arm_emulator import Diverged, ExternalWrench, Plant, Scene, load_scene
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.plant.outputs import KNOWN, list_outputs
-from arm_emulator.machine.scene.known_parts import DEFLECTIONS
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from arm_emulator.runs.table_run import load_table_run
 from arm_emulator.toolchain.flags import C_FLAGS

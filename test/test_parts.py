@@ -20,9 +20,8 @@ from arm_emulator.machine.parts.measuring.encoder import Encoder
 from arm_emulator.machine.parts.measuring.sensors import ANALOG, SENSOR_PARTS
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.parts.part import Part, PartNumber
-from arm_emulator.machine.scene.known_parts import PARTS
-from oracles.part_truths import draw_part, get_truth
 from arm_emulator.machine.parts.registry import list_kinds
+from arm_emulator.machine.scene.known_parts import PARTS
 from oracles.part_truths import draw_part, get_truth, list_truths
 
 # Other sensors have more than numbers, and a table has none: test_sensors.py, test_torque_table.py.
