@@ -107,7 +107,7 @@ def _draw_usual(part: type[Part], truth: ModuleType, rng: Rng) -> Numbers:
         if block.owner == part.name_place() and len(row) > USUAL
     }
     numbers: Numbers = {}
-    for key, number in part.numbers().items():
+    for key, number in part.list_numbers().items():
         needed = number.default is REQUIRED
         if not needed and key not in usual:
             continue
@@ -131,7 +131,7 @@ def _draw_sized(part: type[Motor], rng: Rng) -> Numbers:
         bandwidth=200.0,
     )
     motor = part.size_part(rating)
-    values = {key: getattr(motor, key) for key in part.numbers()}
+    values = {key: getattr(motor, key) for key in part.list_numbers()}
     limit = motor.limit if motor.circuit is not None else ""  # it would need a loop
     return {
         key: value
