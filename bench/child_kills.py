@@ -43,7 +43,7 @@ plant, port = Plant("three_axis"), "0" if child == "page" else None
 try:
     with Recorder(plant, kept, waits=True), serve_controls(plant, port) as server:
         print("ready", flush=True)
-        while not sys.stdin.closed and server.poll():
+        while not sys.stdin.closed and server.poll_requests():
             for _ in range(20):
                 plant.exchange(np.zeros(3))
             print("tick", flush=True)

@@ -31,7 +31,7 @@ from pathlib import Path
 from arm_emulator.runs.row_end import RowEnd
 end = RowEnd(niceness=0, grace=0.5)
 print(200_000 * "x", flush=True)
-end.answer("ready")
+end.send_answer("ready")
 while not end.is_over(30.0):
     pass
 if "meets" in end.task:  # all that are to end, before it ends
@@ -43,10 +43,10 @@ if "meets" in end.task:  # all that are to end, before it ends
 if end.task["hangs"]:
     while True:
         time.sleep(60.0)
-end.answer("over")
+end.send_answer("over")
 if end.task.get("stays"):
     time.sleep(60.0)
-end.leave("never read")
+end.send_last_answer("never read")
 """
 
 

@@ -191,13 +191,13 @@ def test_json_stands_alone_on_stdout_whoever_prints() -> None:
     program = """
 import ctypes
 from arm_emulator.cli.output import output
-with output.printed(as_json=True):
+with output.print_at_end(as_json=True):
     print("Python")
-    output.line("people")
-    output.console().print("tables")
+    output.print_line("people")
+    output.make_console().print("tables")
     ctypes.CDLL(None).puts(b"C")
     ctypes.CDLL(None).fflush(None)
-    output.facts({"none": float("nan"), "one": 1})
+    output.add_facts({"none": float("nan"), "one": 1})
 """
     ended = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True

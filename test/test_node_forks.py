@@ -20,7 +20,7 @@ import signal, sys
 from arm_emulator.ros.process.bringup import NODES, Bringup
 from arm_emulator.ros.process.ros_domain import own_domain
 with own_domain(), Bringup("three_axis", forked=True) as nodes:
-    print(*[nodes.process(name).pid for name in NODES], flush=True)
+    print(*[nodes.get_process(name).pid for name in NODES], flush=True)
     signal.pause()
 """
 

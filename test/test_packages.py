@@ -4,7 +4,6 @@ import os
 import re
 import subprocess
 import sys
-import textwrap
 from pathlib import Path
 
 import pytest
@@ -57,13 +56,12 @@ def test_the_core_knows_which_package_has_which_command() -> None:
 
 def test_the_package_of_the_page_adds_its_command(tmp_path: Path) -> None:
     text = page_of("contribute/extending").read_text().split("### A package in a repository")[1]
-    indented = re.findall(r"(?:^(?: {4}.*)?\n)+", text.split("\n## ")[0], re.M)
-    setup, module = (textwrap.dedent(block) for block in indented if block.strip())
+    project, module = re.findall(r"^```\w+\n(.*?)^```$", text.split("\n## ")[0], re.M | re.S)
     package = tmp_path / "my_arm_tools"
     package.mkdir()
     (package / "__init__.py").touch()
     (package / "joint_names.py").write_text(module)
-    (tmp_path / "setup.py").write_text(setup)
+    (tmp_path / "pyproject.toml").write_text(project)
 
     path = os.pathsep.join((str(tmp_path), os.environ.get("PYTHONPATH", "")))
 
@@ -73,5 +71,5 @@ def test_the_package_of_the_page_adds_its_command(tmp_path: Path) -> None:
             command, capture_output=True, text=True, check=True, cwd=folder, env=env
         ).stdout
 
-    run(tmp_path, "setup.py", "-q", "egg_info")
+    run(tmp_path, "-c", "import setuptools; setuptools.setup()", "-q", "egg_info")
     assert run(ROOT, "-m", "arm_emulator", "joint-names", "three_axis") == "waist shoulder elbow\n"

@@ -273,7 +273,7 @@ def test_without_a_sink_nothing_is_started():
 import sys, threading
 from arm_emulator.view.rerun_stream import RerunStream
 stream = RerunStream("not read", {NAMES})
-stream.offer(0, *[None] * 5)
+stream.show_state(0, *[None] * 5)
 stream.offer_target(0, (0.0, 0.0, 0.0))
 assert stream.close() and stream.dropped == 0 and stream.url is None
 assert threading.active_count() == 1
@@ -303,7 +303,7 @@ x = np.random.default_rng(1).random(3)
 deadline = time.monotonic() + 100.0
 k = 0
 while stream.dropped == 0:
-    stream.offer(k * 1000000, x, x, x, x, x, x)
+    stream.show_state(k * 1000000, x, x, x, x, x, x)
     k += 1
     if k % 100 == 0:
         time.sleep(0.002)
@@ -327,7 +327,7 @@ stream = RerunStream({URDF!r}, {NAMES}, file={str(file)!r})
 x = np.full(3, 0.5)
 k = 0
 while True:
-    stream.offer(k * 1000000, x, x, x, x, x)
+    stream.show_state(k * 1000000, x, x, x, x, x)
     k += 1
     time.sleep(0.001)
 """
@@ -355,7 +355,7 @@ import numpy as np
 from arm_emulator.view.rerun_stream import RerunStream
 stream = RerunStream({URDF!r}, {NAMES}, file={str(file)!r})
 for k in range(500):
-    stream.offer(k * 1000000, *[np.full(3, float(k))] * 5)
+    stream.show_state(k * 1000000, *[np.full(3, float(k))] * 5)
 """
     run(code)
     assert signal_of(file, "q", "turn")[1].tolist() == list(range(500))

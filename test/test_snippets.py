@@ -71,6 +71,7 @@ THEIRS = {"my_crash.py", "steps.py"}
 PYTHON = {
     "your_servo.md": ("rclpy", "needs a network; test_examples.py runs the file that it shows"),
     "by_hand.md": ("rclpy", "needs a network; test_by_hand.py"),
+    "extending.md": ("@command", "a module of its own; test_packages.py makes its package"),
     "campaigns.md": ("polars", "a library of the reader, and results that a reader has"),
 }
 # Pages whose programs compile machines of their own, for seconds.
