@@ -68,7 +68,7 @@ def _list_numbers() -> str:
 
 
 def _list_signals() -> str:
-    from arm_emulator_campaign.signals import list_signal_units
+    from arm_emulator_campaign.judging.signals import list_signal_units
 
     scene = load_scene("three_axis")
     units: dict[str, str] = {}

@@ -32,11 +32,11 @@ setup(
             "faults = arm_emulator_campaign.commands.faults",
         ],
         "arm_emulator.card_compilers": [
-            "campaign = arm_emulator_campaign.card_kernels:compile_campaign_for_card",
+            "campaign = arm_emulator_campaign.judging.card_kernels:compile_campaign_for_card",
         ],
         "arm_emulator.units": [
-            "judges = arm_emulator_campaign.program:judges_unit",
-            "sampler = arm_emulator_campaign.signals:sampler_unit",
+            "judges = arm_emulator_campaign.judging.program:judges_unit",
+            "sampler = arm_emulator_campaign.judging.signals:sampler_unit",
         ],
     },
 )

@@ -23,8 +23,8 @@ from arm_emulator.servo.servo_law import make_servo_unit
 from arm_emulator.tick.c import tick_unit
 from arm_emulator.toolchain.compiler_command import find_compiler
 from arm_emulator.toolchain.unit import Unit
-from arm_emulator_campaign.program import judges_unit
-from arm_emulator_campaign.signals import sampler_unit
+from arm_emulator_campaign.judging.program import judges_unit
+from arm_emulator_campaign.judging.signals import sampler_unit
 from arm_emulator_fieldbus.drives_unit import drives_unit
 from arm_emulator_fleet.unit import build_fleet_unit
 from emulator_node.c import make_answered_ticks_unit, make_real_time_ticks_unit

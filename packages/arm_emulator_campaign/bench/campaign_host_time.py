@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 import yaml
 
-from arm_emulator_campaign.batch_simulator import BatchSimulator
-from arm_emulator_campaign.bound_cases import bind_cases
-from arm_emulator_campaign.case import draw_cases
 from arm_emulator_campaign.definition.campaign_file import load_campaign
-from arm_emulator_campaign.results.outcome import Outcomes
 from arm_emulator_campaign.results.parts import write_part
+from arm_emulator_campaign.simulation.batch_simulator import BatchSimulator
+from arm_emulator_campaign.simulation.bound_cases import bind_cases
+from arm_emulator_campaign.simulation.case import draw_cases
+from arm_emulator_campaign.simulation.outcome import Outcomes
 
 JUDGED = {
     "requirements": {"stays_near": "always[0.05, end] abs(error.*) < 0.3"},

@@ -27,11 +27,11 @@ import numpy as np
 import yaml
 
 from arm_emulator.base.process import is_running, list_descendants
-from arm_emulator_campaign.batch_simulator import make_simulator
-from arm_emulator_campaign.case import draw_cases
 from arm_emulator_campaign.definition.campaign_file import load_campaign
-from arm_emulator_campaign.results.outcome import Outcomes
 from arm_emulator_campaign.results.parts import Results, compute_digest, write_part
+from arm_emulator_campaign.simulation.batch_simulator import make_simulator
+from arm_emulator_campaign.simulation.case import draw_cases
+from arm_emulator_campaign.simulation.outcome import Outcomes
 
 CAMPAIGN = {
     "scene": "three_axis",

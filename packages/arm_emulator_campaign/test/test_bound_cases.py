@@ -12,13 +12,13 @@ from test_campaign_lanes import VARIED, campaign_of
 from arm_emulator import Refusal
 from arm_emulator.machine.plant.external_wrench import move_to_moving_link
 from arm_emulator.machine.session.change import Change, NumberChange, WrenchChange
-from arm_emulator_campaign.batch_simulator import BatchSimulator
-from arm_emulator_campaign.bound_cases import bind_cases
-from arm_emulator_campaign.case import Cases, draw_cases
-from arm_emulator_campaign.change_rows import KINDS
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.sampling.philox import draw_uniform
-from arm_emulator_campaign.simulator import bind_case
+from arm_emulator_campaign.simulation.batch_simulator import BatchSimulator
+from arm_emulator_campaign.simulation.bound_cases import bind_cases
+from arm_emulator_campaign.simulation.case import Cases, draw_cases
+from arm_emulator_campaign.simulation.change_rows import KINDS
+from arm_emulator_campaign.simulation.simulator import bind_case
 from arm_emulator_fleet.unit import FLEET
 
 COUNT = 60

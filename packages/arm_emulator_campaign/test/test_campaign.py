@@ -21,14 +21,14 @@ from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.servo.servo_arm import ServoArm
-from arm_emulator_campaign.batch_simulator import make_simulator
-from arm_emulator_campaign.case import draw_cases
 from arm_emulator_campaign.commands.campaign import execute_campaign
 from arm_emulator_campaign.definition.campaign_file import load_campaign
-from arm_emulator_campaign.evaluators import PythonRequirement
-from arm_emulator_campaign.results.outcome import Outcomes
+from arm_emulator_campaign.judging.evaluators import PythonRequirement
 from arm_emulator_campaign.results.parts import Results, compute_digest, make_schema, write_part
-from arm_emulator_campaign.simulator import Simulator
+from arm_emulator_campaign.simulation.batch_simulator import make_simulator
+from arm_emulator_campaign.simulation.case import draw_cases
+from arm_emulator_campaign.simulation.outcome import Outcomes
+from arm_emulator_campaign.simulation.simulator import Simulator
 from bench.campaign_kills import Here, simulate_kill
 
 TABLE = {
@@ -447,7 +447,7 @@ def test_the_price_is_stated_before_the_runs(tmp_path, capsys):
 def test_the_page_lists_every_key_of_a_file():
     from arm_emulator_campaign.definition.campaign_file import KEYS
     from arm_emulator_campaign.definition.scenario import TARGET_KEYS
-    from arm_emulator_campaign.evaluators import REDUCTIONS
+    from arm_emulator_campaign.judging.evaluators import REDUCTIONS
     from docs.campaign_tables import TABLES
 
     page = (Path(__file__).parents[1] / "docs/reference/campaign.md").read_text()

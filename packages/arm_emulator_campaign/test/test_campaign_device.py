@@ -10,14 +10,14 @@ from test_campaign_lanes import VARIED, campaign_of, cases_of, rows_of
 from test_splitting import DRIFTS
 
 from arm_emulator import Refusal
-from arm_emulator_campaign import batch_simulator
-from arm_emulator_campaign.batch_simulator import WIDTH, BatchSimulator, make_simulator
 from arm_emulator_campaign.commands.campaign import execute_campaign as run_command
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.execution.executor import run_campaign
 from arm_emulator_campaign.execution.worker_pool import LocalPool, WorkerPool
-from arm_emulator_campaign.results.outcome import Outcomes
 from arm_emulator_campaign.results.parts import Results, compute_digest
+from arm_emulator_campaign.simulation import batch_simulator
+from arm_emulator_campaign.simulation.batch_simulator import WIDTH, BatchSimulator, make_simulator
+from arm_emulator_campaign.simulation.outcome import Outcomes
 
 
 @pytest.mark.parametrize("name", with_slow(some(VARIED, 2), 1))

@@ -9,9 +9,9 @@ from draws import with_slow
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.session.tool_chain import ToolChain
-from arm_emulator_campaign.case import Case, draw_case
 from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
-from arm_emulator_campaign.simulator import Simulator
+from arm_emulator_campaign.simulation.case import Case, draw_case
+from arm_emulator_campaign.simulation.simulator import Simulator
 
 HIT = {"kind": "impulse", "at": 0.005, "link": "tool", "impulse": [0.1, -0.2, 0.3]}
 

@@ -10,11 +10,11 @@ from test_campaign import MOVES, TABLE, changed, written
 
 from arm_emulator import ExternalWrench, Refusal, load_gains
 from arm_emulator.machine.session.change import Change, NumberChange, PowerChange, WrenchChange
-from arm_emulator_campaign.batch_simulator import WIDTH, BatchSimulator, make_simulator
-from arm_emulator_campaign.case import Cases, draw_cases
 from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
-from arm_emulator_campaign.results.outcome import Outcomes
-from arm_emulator_campaign.simulator import Simulator
+from arm_emulator_campaign.simulation.batch_simulator import WIDTH, BatchSimulator, make_simulator
+from arm_emulator_campaign.simulation.case import Cases, draw_cases
+from arm_emulator_campaign.simulation.outcome import Outcomes
+from arm_emulator_campaign.simulation.simulator import Simulator
 from arm_emulator_fleet import Fleet, ServoFleet
 from arm_emulator_fleet.fleet_schedule import FleetWay
 

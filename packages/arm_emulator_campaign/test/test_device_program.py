@@ -16,14 +16,14 @@ from test_requirements import NAMES, PERIOD, draw_formula
 from arm_emulator import load_scene
 from arm_emulator.base.expression.formula import Signal, parse_formula
 from arm_emulator.toolchain.library_cache import CACHE_VARIABLE
-from arm_emulator_campaign.batch_simulator import BatchSimulator, make_simulator
-from arm_emulator_campaign.card_kernels import compile_campaign_for_card
 from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
-from arm_emulator_campaign.device_program import DeviceProgram, build_judges_unit
-from arm_emulator_campaign.device_sampler import KERNELS
-from arm_emulator_campaign.program import BLOCK, Program, Rows, Targets, judges
-from arm_emulator_campaign.requirement import Robustness
-from arm_emulator_campaign.results.outcome import Outcomes
+from arm_emulator_campaign.judging.card_kernels import compile_campaign_for_card
+from arm_emulator_campaign.judging.device_program import DeviceProgram, build_judges_unit
+from arm_emulator_campaign.judging.device_sampler import KERNELS
+from arm_emulator_campaign.judging.program import BLOCK, Program, Rows, Targets, judges
+from arm_emulator_campaign.judging.requirement import Robustness
+from arm_emulator_campaign.simulation.batch_simulator import BatchSimulator, make_simulator
+from arm_emulator_campaign.simulation.outcome import Outcomes
 from arm_emulator_fleet import gpu_compiler
 from arm_emulator_fleet.gpu_compiler import find_ptxas, has_ptxas, load_ptx
 from arm_emulator_fleet.processor_device import ProcessorDevice

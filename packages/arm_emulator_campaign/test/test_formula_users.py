@@ -16,12 +16,12 @@ from draws import FULL, with_slow
 from arm_emulator import Breakpoint, Condition, Plant, Refusal, Session, load_scene
 from arm_emulator.base.expression.formula import bind_signals, parse_formula
 from arm_emulator.machine.session.tool_chain import TOOL
-from arm_emulator_campaign.batch_simulator import BatchSimulator
-from arm_emulator_campaign.case import draw_case
 from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
-from arm_emulator_campaign.forking import ForkingRun
 from arm_emulator_campaign.results.parts import find_formula_unit
-from arm_emulator_campaign.simulator import Simulator
+from arm_emulator_campaign.simulation.batch_simulator import BatchSimulator
+from arm_emulator_campaign.simulation.case import draw_case
+from arm_emulator_campaign.simulation.forking import ForkingRun
+from arm_emulator_campaign.simulation.simulator import Simulator
 
 SCENE = load_scene("three_axis")
 Q = dict(zip(SCENE.joint_names, SCENE.start.tolist(), strict=True))

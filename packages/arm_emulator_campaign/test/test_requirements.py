@@ -16,8 +16,8 @@ from arm_emulator.base.expression.formula import (
     parse_formula,
 )
 from arm_emulator.base.refusal import Refusal
-from arm_emulator_campaign.program import Program, Rows, Targets, judges
-from arm_emulator_campaign.requirement import Robustness
+from arm_emulator_campaign.judging.program import Program, Rows, Targets, judges
+from arm_emulator_campaign.judging.requirement import Robustness
 from arm_emulator_campaign.results.parts import find_formula_unit
 
 PERIOD = 0.01

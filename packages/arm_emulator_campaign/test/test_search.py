@@ -15,8 +15,6 @@ from draws import FULL, with_slow
 from scipy import optimize, special, stats
 
 from arm_emulator import Refusal
-from arm_emulator_campaign.batch_simulator import make_simulator
-from arm_emulator_campaign.case import Cases, draw_case, make_case, place_case
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.execution.searcher import Searcher
 from arm_emulator_campaign.execution.worker_pool import WorkerPool
@@ -25,8 +23,10 @@ from arm_emulator_campaign.sampling.intervals import bound_mean
 from arm_emulator_campaign.search.falsification import Bayes, CmaEs
 from arm_emulator_campaign.search.sensitivity import Morris, Sobol
 from arm_emulator_campaign.search.subset import Subset
-from arm_emulator_campaign.shrinking import find_fewest, shrink_run, write_shrunk
-from arm_emulator_campaign.simulator import Simulator, bind_case
+from arm_emulator_campaign.simulation.batch_simulator import make_simulator
+from arm_emulator_campaign.simulation.case import Cases, draw_case, make_case, place_case
+from arm_emulator_campaign.simulation.shrinking import find_fewest, shrink_run, write_shrunk
+from arm_emulator_campaign.simulation.simulator import Simulator, bind_case
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 PUSHED = {

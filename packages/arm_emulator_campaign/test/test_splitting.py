@@ -9,19 +9,19 @@ import yaml
 from scipy import stats
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator_campaign.batch_simulator import make_simulator
-from arm_emulator_campaign.case import Cases
 from arm_emulator_campaign.commands.campaign import find_case
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.execution.splitter import Splitter, read_failures
 from arm_emulator_campaign.execution.worker_pool import WorkerPool
-from arm_emulator_campaign.forking import ForkingRun, make_forked_case
 from arm_emulator_campaign.results.parts import Results
 from arm_emulator_campaign.results.report import write_report
 from arm_emulator_campaign.results.summary import compute_summary
 from arm_emulator_campaign.search.splitting import ForkOrigin, Splitting
-from arm_emulator_campaign.shrinking import shrink_run, write_shrunk
-from arm_emulator_campaign.simulator import Simulator
+from arm_emulator_campaign.simulation.batch_simulator import make_simulator
+from arm_emulator_campaign.simulation.case import Cases
+from arm_emulator_campaign.simulation.forking import ForkingRun, make_forked_case
+from arm_emulator_campaign.simulation.shrinking import shrink_run, write_shrunk
+from arm_emulator_campaign.simulation.simulator import Simulator
 
 DRIFTS = {
     "scene": "three_axis",

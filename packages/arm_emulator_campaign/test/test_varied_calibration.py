@@ -9,10 +9,10 @@ import yaml
 from draws import with_slow
 from test_calibration import displaced_urdf, tool_by_pinocchio
 
-from arm_emulator_campaign.batch_simulator import BatchSimulator
-from arm_emulator_campaign.case import draw_cases
 from arm_emulator_campaign.definition.campaign_file import load_campaign
-from arm_emulator_campaign.simulator import Simulator
+from arm_emulator_campaign.simulation.batch_simulator import BatchSimulator
+from arm_emulator_campaign.simulation.case import draw_cases
+from arm_emulator_campaign.simulation.simulator import Simulator
 
 JOINTS = "waist", "shoulder", "elbow"
 

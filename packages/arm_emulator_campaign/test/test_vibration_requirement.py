@@ -10,7 +10,7 @@ from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator_campaign.definition.campaign_file import load_campaign
-from arm_emulator_campaign.simulator import Simulator
+from arm_emulator_campaign.simulation.simulator import Simulator
 
 PERIOD, MOTION = 1e-3, 50  # s, and ticks of a motion period
 MOVED = {

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator_campaign.batch_simulator import WIDTH
 from arm_emulator_campaign.execution.executor import size_chunk
 from arm_emulator_campaign.execution.worker_pool import (
     MAX_BREAKS,
@@ -16,6 +15,7 @@ from arm_emulator_campaign.execution.worker_pool import (
     Work,
     WorkerPool,
 )
+from arm_emulator_campaign.simulation.batch_simulator import WIDTH
 
 
 class Killed(Exception):

@@ -35,11 +35,7 @@ from arm_emulator.extension.commands import (
 from arm_emulator.extension.compiler import ARITHMETIC
 from arm_emulator.extension.machine import Diverged
 from arm_emulator.extension.runs import Recorder
-from arm_emulator_campaign.batch_simulator import make_simulator
-from arm_emulator_campaign.case import Case, draw_case, make_case
-from arm_emulator_campaign.case_bag import write_case_bag
 from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
-from arm_emulator_campaign.evaluators import find_start_requirements
 from arm_emulator_campaign.execution.executor import measure_run, run_campaign
 from arm_emulator_campaign.execution.searcher import Searcher
 from arm_emulator_campaign.execution.splitter import Splitter, read_failures
@@ -50,8 +46,7 @@ from arm_emulator_campaign.execution.worker_pool import (
     Pool,
     WorkerPool,
 )
-from arm_emulator_campaign.forking import make_forked_case
-from arm_emulator_campaign.results.outcome import Outcome
+from arm_emulator_campaign.judging.evaluators import find_start_requirements
 from arm_emulator_campaign.results.parts import (
     ABOUT,
     INDEX,
@@ -62,8 +57,13 @@ from arm_emulator_campaign.results.parts import (
 from arm_emulator_campaign.results.report import write_report
 from arm_emulator_campaign.results.summary import Summary, compute_summary
 from arm_emulator_campaign.search.method import Finding
-from arm_emulator_campaign.shrinking import shrink_run, write_shrunk
-from arm_emulator_campaign.simulator import Simulator
+from arm_emulator_campaign.simulation.batch_simulator import make_simulator
+from arm_emulator_campaign.simulation.case import Case, draw_case, make_case
+from arm_emulator_campaign.simulation.case_bag import write_case_bag
+from arm_emulator_campaign.simulation.forking import make_forked_case
+from arm_emulator_campaign.simulation.outcome import Outcome
+from arm_emulator_campaign.simulation.shrinking import shrink_run, write_shrunk
+from arm_emulator_campaign.simulation.simulator import Simulator
 
 PATIENCE = 10.0  # s that a Dask scheduler may take to answer
 BYTES_PER_NUMBER = 9.0  # of a part, measured: doubles of random bits hardly shrink

@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator_campaign.batch_simulator import WIDTH, make_simulator
-from arm_emulator_campaign.case import draw_cases
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.execution.worker import Done, get_simulator, simulate_chunk
 from arm_emulator_campaign.execution.worker_pool import (
@@ -24,6 +22,8 @@ from arm_emulator_campaign.execution.worker_pool import (
     wait_for_any,
 )
 from arm_emulator_campaign.results.parts import FAILED, INDEX, ROBUSTNESS, Results, divide_ranges
+from arm_emulator_campaign.simulation.batch_simulator import WIDTH, make_simulator
+from arm_emulator_campaign.simulation.case import draw_cases
 
 FIRST_STAGE, GROWTH = 200, 1.5  # runs after which a campaign looks whether it may stop
 

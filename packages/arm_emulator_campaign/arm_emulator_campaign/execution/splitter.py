@@ -20,10 +20,10 @@ from arm_emulator_campaign.execution.worker_pool import (
     WorkerPool,
     iterate_completed,
 )
-from arm_emulator_campaign.forking import ForkingRun
 from arm_emulator_campaign.results.parts import Results, compute_checksum
 from arm_emulator_campaign.search.method import Finding
 from arm_emulator_campaign.search.splitting import ForkOrigin, Splitting, SplittingRepetition
+from arm_emulator_campaign.simulation.forking import ForkingRun
 
 FOLDER = "splitting"
 PILOT = 0

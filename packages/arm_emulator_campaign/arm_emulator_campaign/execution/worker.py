@@ -17,12 +17,12 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from arm_emulator.extension.base import Array, Refusal
-from arm_emulator_campaign.batch_simulator import BatchSimulator, make_simulator
-from arm_emulator_campaign.case import Cases, draw_cases, place_cases
 from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
-from arm_emulator_campaign.results.outcome import Outcomes
 from arm_emulator_campaign.results.parts import write_part
-from arm_emulator_campaign.simulator import Simulator
+from arm_emulator_campaign.simulation.batch_simulator import BatchSimulator, make_simulator
+from arm_emulator_campaign.simulation.case import Cases, draw_cases, place_cases
+from arm_emulator_campaign.simulation.outcome import Outcomes
+from arm_emulator_campaign.simulation.simulator import Simulator
 
 _PR_SET_PDEATHSIG = 1
 _requests = {"end": False, "busy": False}

@@ -36,9 +36,9 @@ from arm_emulator.extension.base import (
     write_atomically,
 )
 from arm_emulator_campaign.definition.campaign_file import Campaign
-from arm_emulator_campaign.evaluators import Measure
-from arm_emulator_campaign.results.outcome import Outcomes
-from arm_emulator_campaign.signals import list_signal_units
+from arm_emulator_campaign.judging.evaluators import Measure
+from arm_emulator_campaign.judging.signals import list_signal_units
+from arm_emulator_campaign.simulation.outcome import Outcomes
 
 PARTS, ABOUT, ASIDE = "parts", "campaign.json", "set_aside"
 INDEX, FAILED, DIVERGED = "index", "failed", "diverged"

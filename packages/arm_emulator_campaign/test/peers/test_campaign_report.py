@@ -4,13 +4,13 @@ from pathlib import Path
 
 from browser import chromium
 
-from arm_emulator_campaign.batch_simulator import make_simulator
-from arm_emulator_campaign.case import draw_cases
 from arm_emulator_campaign.definition.campaign_file import load_campaign
-from arm_emulator_campaign.results.outcome import Outcomes
 from arm_emulator_campaign.results.parts import Results, write_part
 from arm_emulator_campaign.results.report import write_report
 from arm_emulator_campaign.results.summary import compute_summary
+from arm_emulator_campaign.simulation.batch_simulator import make_simulator
+from arm_emulator_campaign.simulation.case import draw_cases
+from arm_emulator_campaign.simulation.outcome import Outcomes
 
 NARROW = 360  # px
 

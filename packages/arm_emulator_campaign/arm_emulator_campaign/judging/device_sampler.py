@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.extension.compiler import C_NULL, CData
-from arm_emulator_campaign.device_copy import copy_to_device
-from arm_emulator_campaign.signals import HERE, SAMPLER, FleetSampler
+from arm_emulator_campaign.judging.device_copy import copy_to_device
+from arm_emulator_campaign.judging.signals import C_FOLDER, SAMPLER, FleetSampler
 from arm_emulator_fleet import Fleet
 from arm_emulator_fleet.device import Memory
 from arm_emulator_fleet.device_core import cast_address, cast_pointer, view_bytes
 from arm_emulator_fleet.unit import FLEET
 
-KERNELS = (HERE / "sampler_kernels.hpp",)
+KERNELS = (C_FOLDER / "sampler_kernels.hpp",)
 
 
 class DeviceSampler(FleetSampler):

@@ -10,8 +10,8 @@ from arm_emulator.extension.base import Combined, Formula, Refusal, Window
 from arm_emulator.extension.compiler import C_NULL, Header, Library
 from arm_emulator.extension.machine import is_at_one_instant
 
-HERE = Path(__file__).resolve().parent
-ROBUSTNESS = Header(HERE / "robustness.h")
+C_FOLDER = Path(__file__).resolve().parents[1] / "c"
+ROBUSTNESS = Header(C_FOLDER / "robustness.h")
 MAX_NODES = 10_000
 _FOREVER = ROBUSTNESS.get_constant("ROBUSTNESS_FOREVER")
 _ROUNDING = 1e-6  # of a period: tolerance for times written with few digits

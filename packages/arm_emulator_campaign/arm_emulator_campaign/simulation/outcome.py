@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Array
-from arm_emulator_campaign.case import Case
 from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.simulation.case import Case
 
 
 @dataclass(frozen=True)

@@ -30,10 +30,10 @@ from arm_emulator.extension.base import (
 from arm_emulator.extension.machine import is_at_one_instant
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.definition.scenario import count_ticks
-from arm_emulator_campaign.program import Program, Rows, Targets, judges
-from arm_emulator_campaign.requirement import Robustness
-from arm_emulator_campaign.signals import has_tool_signals, list_signal_units
-from arm_emulator_campaign.vibration_requirement import KEY, VibrationRequirement
+from arm_emulator_campaign.judging.program import Program, Rows, Targets, judges
+from arm_emulator_campaign.judging.requirement import Robustness
+from arm_emulator_campaign.judging.signals import has_tool_signals, list_signal_units
+from arm_emulator_campaign.judging.vibration_requirement import KEY, VibrationRequirement
 
 Signals = Mapping[str, Array]
 REDUCTIONS = ("max", "min", "mean", "rms", "last")

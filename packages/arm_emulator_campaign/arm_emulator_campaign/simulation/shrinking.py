@@ -17,10 +17,10 @@ import numpy as np
 import yaml
 
 from arm_emulator.extension.base import Refusal
-from arm_emulator_campaign.case import Case
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.definition.scenario import count_ticks
-from arm_emulator_campaign.simulator import Simulator
+from arm_emulator_campaign.simulation.case import Case
+from arm_emulator_campaign.simulation.simulator import Simulator
 
 FAULT = "faults."
 

@@ -16,14 +16,14 @@ from arm_emulator.extension.compiler import (
     Unit,
     c_pointer,
 )
-from arm_emulator_campaign.device_copy import copy_to_device
-from arm_emulator_campaign.program import BLOCK, HERE, JUDGES, Program, Targets
+from arm_emulator_campaign.judging.device_copy import copy_to_device
+from arm_emulator_campaign.judging.program import BLOCK, C_FOLDER, JUDGES, Program, Targets
 from arm_emulator_fleet.device import Device, Memory
 from arm_emulator_fleet.device_core import cast_pointer, view_bytes
 from arm_emulator_fleet.load_kernels import load_kernels
 from arm_emulator_fleet.unit import FOLDER
 
-KERNELS = Header(HERE / "judges_kernels.h", (HERE, BOUNDARY_FOLDER))
+KERNELS = Header(C_FOLDER / "judges_kernels.h", (C_FOLDER, BOUNDARY_FOLDER))
 
 
 def build_judges_unit() -> Unit:
@@ -33,7 +33,7 @@ def build_judges_unit() -> Unit:
         source='#include "judges_kernels.hpp"\n',
         # As the judges in C, of which they are the same code and give the same bits.
         flags=(*"-std=c++20 -O2 -ffp-contract=off".split(), *SHARED_FLAGS),
-        folders=(HERE, BOUNDARY_FOLDER, FOLDER),
+        folders=(C_FOLDER, BOUNDARY_FOLDER, FOLDER),
         headers=(),
         where="campaign",
         about="the judges of campaigns on a device",

@@ -16,18 +16,18 @@ from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Refusal
 from arm_emulator.extension.runs import ServoConfig
-from arm_emulator_campaign.bound_cases import BoundCases, bind_cases
-from arm_emulator_campaign.case import Case, Cases
 from arm_emulator_campaign.definition.campaign_file import Campaign
-from arm_emulator_campaign.evaluators import Evaluators, count_most_samples
-from arm_emulator_campaign.program import BLOCK, Targets
-from arm_emulator_campaign.results.outcome import Outcome, Outcomes
-from arm_emulator_campaign.signals import FleetSampler
-from arm_emulator_campaign.simulator import Simulator, bind_case
+from arm_emulator_campaign.judging.evaluators import Evaluators, count_most_samples
+from arm_emulator_campaign.judging.program import BLOCK, Targets
+from arm_emulator_campaign.judging.signals import FleetSampler
+from arm_emulator_campaign.simulation.bound_cases import BoundCases, bind_cases
+from arm_emulator_campaign.simulation.case import Case, Cases
+from arm_emulator_campaign.simulation.outcome import Outcome, Outcomes
+from arm_emulator_campaign.simulation.simulator import Simulator, bind_case
 from arm_emulator_fleet import Fleet, FleetWay, ServoFleet
 
 if TYPE_CHECKING:
-    from arm_emulator_campaign.device_program import DeviceProgram
+    from arm_emulator_campaign.judging.device_program import DeviceProgram
 
 WIDTH = 64  # runs at a time
 # Runs that are bound at a time, at least: for vectors of more than 10 000 numbers OpenBLAS would
@@ -206,7 +206,7 @@ def _choose_judges(
     most = count_most_samples(campaign)
     if not (one.needs_processor or most is None):
         # Nothing of it is loaded for the processor's lanes.
-        from arm_emulator_campaign.device_program import DeviceProgram
+        from arm_emulator_campaign.judging.device_program import DeviceProgram
 
         one = Evaluators(campaign, ROOM, make_program=DeviceProgram)
         assert isinstance(one.program, DeviceProgram)
@@ -223,7 +223,7 @@ def _choose_sampler(
 ) -> tuple[Callable[[Fleet, Sequence[str], int], FleetSampler], Sequence[Path]]:
     if device is None:
         return FleetSampler, ()
-    from arm_emulator_campaign.device_sampler import KERNELS, DeviceSampler
+    from arm_emulator_campaign.judging.device_sampler import KERNELS, DeviceSampler
 
     return partial(DeviceSampler, stays=stays), KERNELS
 

@@ -21,10 +21,10 @@ from arm_emulator.extension.compiler import (
     compile_once,
 )
 from arm_emulator.extension.machine import FORMULA_HEADER, FormulaRows
-from arm_emulator_campaign.requirement import Robustness
+from arm_emulator_campaign.judging.requirement import Robustness
 
-HERE = Path(__file__).resolve().parent
-JUDGES = Header(HERE / "judges.h", (HERE, BOUNDARY_FOLDER))
+C_FOLDER = Path(__file__).resolve().parents[1] / "c"
+JUDGES = Header(C_FOLDER / "judges.h", (C_FOLDER, BOUNDARY_FOLDER))
 BLOCK = FORMULA_HEADER.get_constant("FORMULA_BLOCK")
 
 
@@ -32,10 +32,10 @@ def judges_unit() -> Unit:
     """Return the sources of the program."""
     parts = "formula.c", "robustness.c", "judges.c"
     source = "".join(f'#include "{part}"\n' for part in parts)
-    headers = (JUDGES, Header(HERE / "robustness.h"))
+    headers = (JUDGES, Header(C_FOLDER / "robustness.h"))
     about = "the judges of campaigns"
     return Unit(
-        "judges", source, C_FLAGS, (HERE, BOUNDARY_FOLDER), headers, "campaign", about, parts[1]
+        "judges", source, C_FLAGS, (C_FOLDER, BOUNDARY_FOLDER), headers, "campaign", about, parts[1]
     )
 
 

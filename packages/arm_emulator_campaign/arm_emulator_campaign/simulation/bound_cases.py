@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.extension.base import Array
 from arm_emulator.extension.runs import ServoConfig
-from arm_emulator_campaign.case import Cases
-from arm_emulator_campaign.change_rows import ChangeRows, make_change_rows
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.definition.drawn_scenarios import draw_scenarios
 from arm_emulator_campaign.definition.scenario import count_all_ticks
-from arm_emulator_campaign.program import Targets
+from arm_emulator_campaign.judging.program import Targets
+from arm_emulator_campaign.simulation.case import Cases
+from arm_emulator_campaign.simulation.change_rows import ChangeRows, make_change_rows
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from arm_emulator.extension.machine import Scene
-from arm_emulator_campaign.device_program import build_judges_unit
-from arm_emulator_campaign.device_sampler import KERNELS
+from arm_emulator_campaign.judging.device_program import build_judges_unit
+from arm_emulator_campaign.judging.device_sampler import KERNELS
 from arm_emulator_fleet.gpu_compiler import compile_for_card
 from arm_emulator_fleet.unit import build_card_units
 

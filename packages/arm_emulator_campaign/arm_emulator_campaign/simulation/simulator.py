@@ -19,14 +19,14 @@ from arm_emulator.extension.runs import (
     TableRun,
     TargetTable,
 )
-from arm_emulator_campaign.case import Case, Cases, draw_case
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.definition.fault import schedule_changes
 from arm_emulator_campaign.definition.scenario import Move, Scenario, count_ticks
-from arm_emulator_campaign.evaluators import Evaluators
-from arm_emulator_campaign.program import Targets
-from arm_emulator_campaign.results.outcome import Outcome, Outcomes
-from arm_emulator_campaign.signals import Sampler
+from arm_emulator_campaign.judging.evaluators import Evaluators
+from arm_emulator_campaign.judging.program import Targets
+from arm_emulator_campaign.judging.signals import Sampler
+from arm_emulator_campaign.simulation.case import Case, Cases, draw_case
+from arm_emulator_campaign.simulation.outcome import Outcome, Outcomes
 
 ROOM = 4096  # samples in a batch for requirements
 MAX_TICKS = 2**31  # ticks of a piece

@@ -9,10 +9,10 @@ import yaml
 
 from arm_emulator.extension.base import read_yaml
 from arm_emulator.extension.machine import Change, Diverged, override_keys
-from arm_emulator_campaign.case import Case
 from arm_emulator_campaign.definition.campaign_file import Campaign, find_files
-from arm_emulator_campaign.shrinking import make_path
-from arm_emulator_campaign.simulator import Simulator
+from arm_emulator_campaign.simulation.case import Case
+from arm_emulator_campaign.simulation.shrinking import make_path
+from arm_emulator_campaign.simulation.simulator import Simulator
 
 
 def write_case_bag(campaign: Campaign, simulator: Simulator, case: Case, folder: Path) -> None:

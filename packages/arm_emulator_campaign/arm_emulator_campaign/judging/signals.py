@@ -36,8 +36,8 @@ from arm_emulator_fleet import Fleet
 from arm_emulator_fleet.unit import FLEET
 from arm_emulator_fleet.unit import FOLDER as FLEET_FOLDER
 
-HERE = Path(__file__).resolve().parent
-SAMPLER = Header(HERE / "sampler.h", (BOUNDARY_FOLDER, FLEET_FOLDER))
+C_FOLDER = Path(__file__).resolve().parents[1] / "c"
+SAMPLER = Header(C_FOLDER / "sampler.h", (BOUNDARY_FOLDER, FLEET_FOLDER))
 _KINDS = {"f8": "DOUBLE", "i8": "INT64", "u4": "UINT32"}
 
 
@@ -45,7 +45,7 @@ def sampler_unit() -> Unit:
     """Return the sources of the sampler."""
     part = "sampler.c"
     source, about = f'#include "{part}"\n', "the samples of campaigns"
-    folders = HERE, BOUNDARY_FOLDER, FLEET_FOLDER
+    folders = C_FOLDER, BOUNDARY_FOLDER, FLEET_FOLDER
     return Unit("sampler", source, C_FLAGS, folders, (SAMPLER,), "campaign", about, part)
 
 

@@ -1,0 +1,1 @@
+"""Judgement of runs: signals, requirements and measures, as one program in C."""

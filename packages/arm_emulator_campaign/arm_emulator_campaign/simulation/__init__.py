@@ -1,0 +1,1 @@
+"""Runs of a campaign: what decides each, its simulation and its outcome."""
