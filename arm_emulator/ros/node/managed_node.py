@@ -386,7 +386,7 @@ class ManagedNode(LifecycleNode):
         """
         name = srv_name.strip("~/")
 
-        def refuse_request(reason: Refusal, request: Any, response: Any) -> Any:
+        def write_refusal(reason: Refusal, request: Any, response: Any) -> Any:
             if refuse is not None:
                 return refuse(response, str(reason))
             return refuse_request(reason, request, response)
@@ -397,7 +397,7 @@ class ManagedNode(LifecycleNode):
 
         needs_active = self._configuring
         wrap = guard_coroutine if inspect.iscoroutinefunction(callback) else guard_callback
-        guarded: Callable[..., Any] = wrap(self, name, callback, refuse_request, check_active)
+        guarded: Callable[..., Any] = wrap(self, name, callback, write_refusal, check_active)
         if srv_type is SetParameters:
             guarded = set_singly(guarded)
         return super().create_service(srv_type, srv_name, guarded, **named)
