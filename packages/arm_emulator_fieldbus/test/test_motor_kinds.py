@@ -104,7 +104,12 @@ def describe(scene: Scene) -> ServoConfig:
 
 def test_every_kind_states_the_numbers_that_a_servo_needs() -> None:
     for kind in MOTORS:
-        for name in ("servo_data", "torque_per_command", "largest_command", "reflect_to_link"):
+        for name in (
+            "servo_data",
+            "torque_per_command",
+            "compute_largest_command",
+            "reflect_to_link",
+        ):
             assert name in vars(kind), f"{kind.__name__} states no {name}"
 
 
