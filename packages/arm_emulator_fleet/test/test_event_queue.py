@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from draws import some
 from test_fleet_follow import ROWS
-from test_fleet_on_device import Pair, device, located
+from test_fleet_on_device import Pair, device, find_servo, located
 
 from arm_emulator import Refusal, Scene
+from arm_emulator.extension.machine import PowerChange
 from arm_emulator_fleet import Fleet, FleetControl
 from arm_emulator_fleet.device import Module
+from arm_emulator_fleet.fleet_schedule import FleetWay
+from arm_emulator_fleet.servo_fleet import ServoFleet
 from arm_emulator_fleet.unit import KERNELS
 
 __all__ = ["device", "located"]
@@ -85,6 +88,34 @@ def test_arms_without_events_do_not_queue(located: Scene, device: str, queued: l
     assert queued[20:] == [GROUPS, *(19 * [1])], "all have been changed before the first period"
     first, second = (fleet.save() for fleet in fleets)
     assert first == second and fleets[0].state.q.any()
+
+
+def test_a_change_waits_for_its_tick_if_an_event_is_late_in_the_first_period(
+    located: Scene, device: str
+) -> None:
+    """A call begins amid a period; its first step reaches a tick, and arms stop in the second."""
+    assert located.steps_per_period == 2
+    v, servo = np.zeros((COUNT, len(located.joints))), find_servo(located)
+    v[:, 0] = np.linspace(1e-4, 3e-4, COUNT)  # friction stops them after one step to four
+    fleet, way = Fleet(located, COUNT, device=device), FleetWay(located, COUNT)
+    way.set_changes([[(2, PowerChange(on=False))]] * COUNT)
+    assert servo
+    servos = ServoFleet(fleet, servo)
+
+    def follow_after_a_step(periods: int) -> None:
+        fleet.reset(v=v)
+        servos.reset()
+        servos.aim(np.asarray(located.start)[np.newaxis])
+        fleet.advance(np.zeros(len(located.joints)), 1)
+        fleet.follow(servos, periods, way=way)
+
+    follow_after_a_step(1)
+    stopped = fleet.state.v[:, 0] == 0.0
+    assert stopped.any() and not stopped.all()
+    follow_after_a_step(2)
+    assert fleet.powered.all()
+    follow_after_a_step(3)
+    assert not fleet.powered.any()
 
 
 def test_code_of_users_is_in_both_kernels_and_refuses_in_its_period(

@@ -24,7 +24,7 @@ from arm_emulator_fleet.fleet_schedule import FleetWay
 from arm_emulator_fleet.servo_fleet import ServoFleet
 from arm_emulator_fleet.unit import FOLDER
 
-STICKING: dict[str, Any] = {**LOCATED, "integrator.dt": 5e-4, "joints.*.friction.coulomb": 2.0}
+STICKING: dict[str, Any] = {**LOCATED, "joints.*.friction.coulomb": 2.0}
 BEARINGS: dict[str, Any] = {
     "joints.waist.bearing.tilt_x": {"stiffness": 2e4, "damping": 20.0},
     "joints.shoulder.bearing.tilt_z": {"stiffness": 3e4, "damping": 20.0},

@@ -23,6 +23,7 @@ BRAKED: dict[str, Any] = {
 LOCATED: dict[str, Any] = {
     "integrator.events": "located",
     "integrator.scheme": "extrapolated",
+    "integrator.dt": 5e-4,  # two steps in a period, of which the first may have no event
     "varied": ["joints.*.friction.coulomb", "joints.*.friction.viscous"],
     "joints.*.friction.coulomb": 0.05,
     "joints.*.motor.current_limit": 6.0,

@@ -47,8 +47,9 @@ struct Advance {
     control.step = call.step, control.with = call.with, control.joint = call.joint;
     control.step_rows = call.step || call.step_rows ? call.step_rows : servo_fleet_step;
   }
-  ControlledGroup controlled() const {
-    return {fleet, g, control, call.measurement, call.way, period};
+  // `taken`: see ControlledGroup.
+  ControlledGroup controlled(std::int64_t taken = -1) const {
+    return {fleet, g, control, call.measurement, call.way, period, taken};
   }
   // The commands of a row, and the positions after it.
   template <class Number>

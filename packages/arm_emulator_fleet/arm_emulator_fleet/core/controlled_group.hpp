@@ -10,10 +10,11 @@ class ControlledGroup {
  public:
   static constexpr int N = arm_fleet::N, J = arm_fleet::J, lanes = arm_fleet::lanes;
 
-  // `period`: of the call, from which it goes on.
+  // `period`: of the call, from which it goes on; `taken`: its steps that `follow_smoothly` has
+  // taken, -1: none, it has not begun.
   ControlledGroup(arm_fleet& fleet, int group, const arm_fleet_control& control,
                   const arm_fleet_measurement& measured, const arm_fleet_way& way,
-                  std::int64_t period = 0)
+                  std::int64_t period = 0, std::int64_t taken = -1)
       : fleet_(fleet),
         g_(group),
         first_(group * lanes),
@@ -22,7 +23,8 @@ class ControlledGroup {
         measured_(measured),
         way_(way),
         period_(period),
-        changes_(fleet, group, way, period) {}
+        taken_(taken),
+        changes_(fleet, group, way, period, period == 0 && taken < 0) {}
 
   // False if a command was refused.
   bool follow(std::int64_t periods) {
@@ -55,10 +57,9 @@ class ControlledGroup {
   }
   // The remaining steps of a period. False if a command was refused.
   bool finish() {
-    const std::int64_t taken = fleet_.known[g_].taken;
-    if (taken < 0) return follow(1);
+    if (taken_ < 0) return follow(1);
     for_each_joint([&](int joint, int row) { rows_.value[row] = control_.joint[joint].value; });
-    glide(taken);
+    glide(taken_);
     end_period();
     return true;
   }
@@ -177,7 +178,7 @@ class ControlledGroup {
   const arm_fleet_control& control_;
   const arm_fleet_measurement& measured_;
   const arm_fleet_way& way_;
-  std::int64_t period_;
+  std::int64_t period_, taken_;
   GroupChanges changes_;
   bool glides_ = false;
   Rows rows_;

@@ -37,8 +37,9 @@ class GroupChanges {
   static constexpr int lanes = arm_fleet::lanes;
   static constexpr std::int64_t never = INT64_MAX;
 
-  // From a period of the call on; those before are made.
-  GroupChanges(arm_fleet& fleet, int group, const arm_fleet_way& way, std::int64_t period)
+  // From a period of the call on; those before are made. `begins`: the call has taken no step yet.
+  GroupChanges(arm_fleet& fleet, int group, const arm_fleet_way& way, std::int64_t period,
+               bool begins)
       : fleet_(fleet),
         first_(group * lanes),
         end_(fleet.end_of(group)),
@@ -48,7 +49,7 @@ class GroupChanges {
     for (int k = first_; k < end_; ++k) {
       std::int64_t& next = next_[k - first_];
       next = way.first_change[k];
-      if (period == 0) began_[k - first_] = fleet.ticks_of(k);
+      if (begins) began_[k - first_] = fleet.ticks_of(k);
       while (next < way.first_change[k + 1] && due_at(k) < period) ++next;
       look_ahead(k);
     }

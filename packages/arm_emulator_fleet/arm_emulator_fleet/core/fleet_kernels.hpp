@@ -190,7 +190,7 @@ ARM_KERNEL(fleet_advance) {
     fleet.follow(of.g, of.row(call.command), stride, periods, call.steps, of.row(call.q),
                  taken < 0 ? 0 : taken);
   } else if (call.motion == FLEET_UNDER_CONTROL) {
-    ControlledGroup controlled = of.controlled();
+    ControlledGroup controlled = of.controlled(taken);
     if (!(queues ? controlled.finish() : controlled.follow(periods))) {
       fleet.known[of.g].has_refused = true;
       note_refusal(call.refused + 1, controlled.refused());
