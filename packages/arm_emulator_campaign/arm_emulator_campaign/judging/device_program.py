@@ -17,7 +17,8 @@ from arm_emulator.extension.compiler import (
     c_pointer,
 )
 from arm_emulator_campaign.judging.device_copy import copy_to_device
-from arm_emulator_campaign.judging.program import BLOCK, C_FOLDER, JUDGES, Program, Targets
+from arm_emulator_campaign.judging.program import BLOCK, JUDGES, Program, Targets
+from arm_emulator_campaign.judging.requirement import C_FOLDER
 from arm_emulator_fleet.device import Device, Memory
 from arm_emulator_fleet.device_core import cast_pointer, view_bytes
 from arm_emulator_fleet.load_kernels import load_kernels

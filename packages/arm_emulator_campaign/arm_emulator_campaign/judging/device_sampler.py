@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from arm_emulator.extension.compiler import C_NULL, CData
 from arm_emulator_campaign.judging.device_copy import copy_to_device
-from arm_emulator_campaign.judging.signals import C_FOLDER, SAMPLER, FleetSampler
+from arm_emulator_campaign.judging.requirement import C_FOLDER
+from arm_emulator_campaign.judging.signals import SAMPLER, FleetSampler
 from arm_emulator_fleet import Fleet
 from arm_emulator_fleet.device import Memory
 from arm_emulator_fleet.device_core import cast_address, cast_pointer, view_bytes

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,9 +20,8 @@ from arm_emulator.extension.compiler import (
     compile_once,
 )
 from arm_emulator.extension.machine import FORMULA_HEADER, FormulaRows
-from arm_emulator_campaign.judging.requirement import Robustness
+from arm_emulator_campaign.judging.requirement import C_FOLDER, Robustness
 
-C_FOLDER = Path(__file__).resolve().parents[1] / "c"
 JUDGES = Header(C_FOLDER / "judges.h", (C_FOLDER, BOUNDARY_FOLDER))
 BLOCK = FORMULA_HEADER.get_constant("FORMULA_BLOCK")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,11 +31,11 @@ from arm_emulator.extension.machine import (
     list_tool_signals,
     make_truth,
 )
+from arm_emulator_campaign.judging.requirement import C_FOLDER
 from arm_emulator_fleet import Fleet
 from arm_emulator_fleet.unit import FLEET
 from arm_emulator_fleet.unit import FOLDER as FLEET_FOLDER
 
-C_FOLDER = Path(__file__).resolve().parents[1] / "c"
 SAMPLER = Header(C_FOLDER / "sampler.h", (BOUNDARY_FOLDER, FLEET_FOLDER))
 _KINDS = {"f8": "DOUBLE", "i8": "INT64", "u4": "UINT32"}
 
