@@ -14,7 +14,7 @@ import pytest
 from arm_emulator.machine.faults.known import FAULTS
 from oracles.part_truths import collect_truths, read_tables
 
-# Of the numbers of several parts, and of what is no part, in the form of oracles/part_truths.py.
+# The table has the faults of several parts and of what is no part, in the form of part_truths.py.
 # Probabilities p and m of causes that do not depend on each other make 1 - (1 - p) (1 - m). Flux
 # goes with the number of turns, inductance with its square. An edge that is missed with the
 # probability 1/2 shows nothing.

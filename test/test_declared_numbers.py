@@ -26,7 +26,7 @@ from emulator_node.node import EmulatorParameters
 from oracles.part_truths import collect_truths, read_tables
 from servo_node.node import ServoNodeParameters
 
-# Of all that is no part, in the form of oracles/part_truths.py.
+# The table has the numbers of all that is no part, in the form of oracles/part_truths.py.
 TABLE = """
 [joints.NAME]
 start                   rad or m    0           -1e4 to 1e4

@@ -4,13 +4,15 @@ from arm_emulator.machine.parts.frictions.friction import OfRotor
 from arm_emulator.machine.parts.part import Part
 from oracles.part_truths import Numbers, Rng, draw_scaled
 
-NUMBERS = """
-[joints.NAME.friction]
-[joints.NAME.motor.friction]
+NUMBERS_OF_FRICTIONS = """\
 viscous                 N m s/rad   0           >= 0
 coulomb                 N m         0           >= 0
 breakaway               N m         coulomb     >= coulomb
 """
+NUMBERS = f"""
+[joints.NAME.friction]
+[joints.NAME.motor.friction]
+{NUMBERS_OF_FRICTIONS}"""
 
 
 def draw_section(part: type[Part], rng: Rng) -> Numbers:

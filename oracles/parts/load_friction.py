@@ -5,12 +5,10 @@ from arm_emulator.machine.parts.part import Part
 from oracles.part_truths import Numbers, Rng, draw_scaled
 from oracles.parts import friction
 
-NUMBERS = """
+NUMBERS = f"""
 [joints.NAME.friction with load]
 [joints.NAME.motor.friction with load]
-viscous                 N m s/rad   0           >= 0
-coulomb                 N m         0           >= 0
-breakaway               N m         coulomb     >= coulomb
+{friction.NUMBERS_OF_FRICTIONS}\
 stribeck                rad/s       none        > 0
 load                    N m/(N m)   0           0 to 10
 back_load               N m/(N m)   none        0 to 10

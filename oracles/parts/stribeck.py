@@ -4,12 +4,10 @@ from arm_emulator.machine.parts.part import Part
 from oracles.part_truths import Numbers, Rng
 from oracles.parts import friction
 
-NUMBERS = """
+NUMBERS = f"""
 [joints.NAME.friction with stribeck]
 [joints.NAME.motor.friction with stribeck]
-viscous                 N m s/rad   0           >= 0
-coulomb                 N m         0           >= 0
-breakaway               N m         coulomb     >= coulomb
+{friction.NUMBERS_OF_FRICTIONS}\
 stribeck                rad/s       needed      > 0
 """
 
