@@ -53,6 +53,7 @@ WORDS = {
 INDEPENDENT = "an independent solution or peer, whose equations must not follow from the parts"
 ABOUT = "a bench about these very parts"
 ALLOWED = {
+    "arm_emulator/machine/scene/known_parts.py": "the list of all parts, by bases of kinds",
     "oracles/reference.py": INDEPENDENT,
     "oracles/smoothed_reference.py": INDEPENDENT,
     "oracles/alone.py": "draws what the smoothed reference solves",
