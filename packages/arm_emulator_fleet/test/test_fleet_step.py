@@ -1,5 +1,6 @@
 """Arms stay in their lanes between calls, and nobody can see it; `step` is exchange and looks."""
 
+import contextlib
 import copy
 import gc
 from typing import Any
@@ -10,7 +11,7 @@ from draws import some
 from machines import SENSED
 from test_fleet_calls import COUNT, NUMBER
 
-from arm_emulator import Refusal, Scene, load_scene
+from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator_fleet import Fleet
 
@@ -116,6 +117,34 @@ def test_a_step_is_an_exchange_and_a_look(scene: Scene) -> None:
             assert np.array_equal(mine, its), name
         assert np.array_equal(frame.powered, second.powered)
         assert np.array_equal(frame.faults, second.faults)
+
+
+@pytest.mark.parametrize("device", [None, "processor"])
+def test_an_arm_that_has_diverged_measures_what_a_plant_does(device: str | None) -> None:
+    """Its drives bound their commands on, and its brake hears of them."""
+    rng = np.random.default_rng(5)
+    scene = load_scene("three_axis", overrides=LOCATED)
+    wild, v = [1, COUNT - 1], np.zeros((COUNT, 3))
+    v[wild, 0] = 1.1 * np.pi / scene.integrator.dt  # more than half a turn in a step
+    fleet = Fleet(scene, COUNT, v=v, device=device, workers=1)
+    plants = [Plant(scene) for _ in range(COUNT)]
+    for plant, speeds in zip(plants, v, strict=True):
+        plant.reset(v=speeds)
+    for period in range(12):
+        rows = rng.uniform(-200.0, 200.0, (COUNT, 3))  # far beyond the bounds
+        count = period % 3  # 0: by `exchange`
+        if count:
+            fleet.step(rows, count)
+        else:
+            fleet.exchange(rows)
+        for plant, row in zip(plants, rows, strict=True):
+            for _ in range(max(count, 1)):
+                with contextlib.suppress(Diverged):
+                    plant.exchange(row)
+        for name in KNOWN:
+            expected = np.array([getattr(plant.measured, name) for plant in plants])
+            assert np.array_equal(getattr(fleet.measured, name), expected), f"{name}, {period}"
+    assert sorted(fleet.diverged) == wild
 
 
 def test_an_arm_continues_in_its_lane_when_its_reference_ends(scene: Scene) -> None:

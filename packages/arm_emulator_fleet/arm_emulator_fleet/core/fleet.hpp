@@ -261,7 +261,7 @@ struct arm_fleet {
   }
   void take_commands(int k, const arm_joint_command* joint, const double* further,
                      std::int64_t tick) {
-    bool stays = in_lanes;  // in its lane, where it gets its bounds
+    bool stays = in_lanes && is_abreast(k);  // its lane bounds what it takes
     for (int b = 0; b < Scene::brakes; ++b)
       stays &= machine[k]->closes_brake(b, joint, nullptr) == machine[k]->machine.wants_brake(b);
     if (stays) {
