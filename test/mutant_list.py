@@ -555,6 +555,18 @@ MUTANTS = (
         "../packages/arm_emulator_fleet/test/test_fleet_follow.py::test_rows_that_state_their_periods_hold_from_these_on",
     ),
     Mutant(
+        "packages/arm_emulator_fleet/arm_emulator_fleet/core/advance_smoothly.hpp",
+        "    state.store();\n",
+        "",
+        "../packages/arm_emulator_fleet/test/test_event_queue.py",
+    ),
+    Mutant(
+        "packages/arm_emulator_fleet/arm_emulator_fleet/core/fleet.hpp",
+        "bool stays = in_lanes && is_abreast(k);",
+        "bool stays = in_lanes;",
+        "../packages/arm_emulator_fleet/test/test_fleet_step.py::test_an_arm_that_has_diverged_measures_what_a_plant_does",
+    ),
+    Mutant(
         "arm_emulator/runs/target_table.py",
         "np.diff(t) <= 0.0",
         "np.diff(t) < 0.0",

@@ -9,8 +9,9 @@ import pytest
 from draws import some
 from test_fleet_follow import ROWS
 from test_fleet_on_device import Pair, device, find_servo, located
+from test_fleet_step import LOCATED
 
-from arm_emulator import Refusal, Scene
+from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.extension.machine import PowerChange
 from arm_emulator_fleet import Fleet, FleetControl
 from arm_emulator_fleet.device import Module
@@ -24,6 +25,13 @@ pytest_plugins = ["devices"]
 COUNT = 38  # all groups of a device are full: others always queue
 GROUPS = COUNT // 2
 BLOCKS = 1, 32, 64, 1024
+# A device has the states of arms whose drives are alike in rows, of others in their groups.
+DRIVES = {"drives vary": LOCATED, "drives alike": {**LOCATED, "varied": ["links.forearm.mass"]}}
+
+
+@pytest.fixture(scope="module", params=list(DRIVES))
+def scene(request: pytest.FixtureRequest) -> Scene:
+    return load_scene("three_axis", overrides=DRIVES[request.param])
 
 
 @pytest.fixture
@@ -56,10 +64,10 @@ def queued(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 @pytest.mark.parametrize("block", some(BLOCKS, 2))
 @pytest.mark.parametrize("seed", some(range(6), 1))
 def test_any_groups_in_any_order_give_the_bits_of_lanes(
-    located: Scene, device: str, queued: list[int], block: int, seed: int
+    scene: Scene, device: str, queued: list[int], block: int, seed: int
 ) -> None:
     """Brakes, arms without power, arms that diverge, events in time, and arms that have none."""
-    pair = Pair(located, COUNT, device, seed)
+    pair = Pair(scene, COUNT, device, seed)
     pair.fleets[1].core.block = block
     rng = np.random.default_rng(seed)
     disturb = pair.power, pair.throw, pair.reset, pair.set_parameter, pair.push, pair.aim
@@ -71,9 +79,9 @@ def test_any_groups_in_any_order_give_the_bits_of_lanes(
     assert any(0 < length < GROUPS for length in queued) and max(queued) == GROUPS
 
 
-def test_arms_without_events_do_not_queue(located: Scene, device: str, queued: list[int]) -> None:
+def test_arms_without_events_do_not_queue(scene: Scene, device: str, queued: list[int]) -> None:
     """Joints slide at constant voltages; then one arm of many loses its power."""
-    fleets = [Fleet(located, COUNT, device=place) for place in (None, device)]
+    fleets = [Fleet(scene, COUNT, device=place) for place in (None, device)]
     for fleet in fleets:
         fleet.exchange(rows := np.tile([6.0, 2.0, 2.0], (COUNT, 1)))
         fleet.step(rows, 60)
