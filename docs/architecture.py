@@ -210,7 +210,7 @@ TICK: tuple[Band, ...] = (
             Station("runs the steps, checks energy and bounds",
                     "arm_emulator/core/machine/machine.hpp", "advance"),
             Station("one step after the other",
-                    "arm_emulator/core/machine/command_schedule.hpp", "march"),
+                    "arm_emulator/core/machine/command_schedule.hpp", "advance_steps"),
             Station("one step: motors, then links", f"{_SCHEMES}/two_threads.hpp", "step"),
             Station("motors by eq. (3)", f"{_SCHEMES}/paper.hpp", "drives"),
             Station("volts drive the winding, eq. (1)",

@@ -532,8 +532,8 @@ MUTANTS = (
     ),
     Mutant(
         "packages/arm_emulator_fleet/arm_emulator_fleet/core/fleet_kernels.hpp",
-        "if (!mask || mask[k]) fleet->settle(k), act(fleet->machine[k], k);",
-        "fleet->settle(k), act(fleet->machine[k], k);",
+        "if (!mask || mask[k]) fleet->move_to_machine(k), act(fleet->machine[k], k);",
+        "fleet->move_to_machine(k), act(fleet->machine[k], k);",
         "../packages/arm_emulator_fleet/test/test_fleet_on_device.py::test_every_call_gives_the_bits_of_lanes",
     ),
     Mutant(

@@ -68,8 +68,8 @@ class CommandSchedule {
   // Take `count` steps, or those before one that `threads` refuses; returns how many. `power` is
   // what the motors can be given at most under u, of which `most` is the sum.
   template <class Threads>
-  ARM_INLINE int march(const Numbers<S, X>& numbers, Threads& threads, Real h, int count,
-                       State<S, X>& y, X (&u)[row], X& power, X& most) {
+  ARM_INLINE int advance_steps(const Numbers<S, X>& numbers, Threads& threads, Real h, int count,
+                               State<S, X>& y, X (&u)[row], X& power, X& most) {
     X energy = h * power;
     for (int s = 0; s < count; ++s) {
       if (left_ == 0) {

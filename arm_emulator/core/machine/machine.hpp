@@ -36,7 +36,7 @@ class Machine {
   }
 
   // One step by itself, of a machine that is in a lane beside others.
-  ARM_APART void step_alone(State<S>& x, const Real (&u)[Stepper::row],
+  ARM_APART void step_state(State<S>& x, const Real (&u)[Stepper::row],
                             typename Threads::Memory& past) {
     renew();
     threads_.restore(past);
@@ -44,7 +44,7 @@ class Machine {
     past = threads_.memory();
   }
   // Take a step alone of which the end y is known, see EventLocation::step_to; `past` is that of y.
-  ARM_APART void step_alone_to(const State<S>& y, const auto& friction, State<S>& x,
+  ARM_APART void step_state_to(const State<S>& y, const auto& friction, State<S>& x,
                                const Real (&u)[Stepper::row], typename Threads::Memory& past) {
     renew();
     threads_.restore(past);
@@ -150,12 +150,12 @@ class Machine {
     CommandSchedule schedule({command}, {q}, N, steps);
     if (steps == 0 && fault_ < 0)
       for (std::int64_t row = 0; row < rows; ++row) schedule.end_row(x_);
-    return follow(schedule, rows * steps);
+    return follow_schedule(schedule, rows * steps);
   }
 
   // Take the next `count` steps of a schedule.
   using CommandSchedule = arm::CommandSchedule<S, Real, Stepper::row>;
-  int follow(CommandSchedule& schedule, std::int64_t count) {
+  int follow_schedule(CommandSchedule& schedule, std::int64_t count) {
     if (fault_ >= 0) return fault_;
     renew();
     threads_.begin(count, x_);
@@ -388,7 +388,7 @@ class Machine {
     for (int j = 0; j < Stepper::row; ++j) u[j] = applied_[j];
     Real most = balance_.most();
     Real power = is_check(steps_taken_) ? EnergyBalance<S>::largest_power(numbers_, y, u) : power_;
-    there.march(numbers_, threads_, h_, count, y, u, power, most);
+    there.advance_steps(numbers_, threads_, h_, count, y, u, power, most);
     const int joint = joint_out_of_bounds(y);
     if (joint >= 0) {
       threads_.end();

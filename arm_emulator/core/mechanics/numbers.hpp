@@ -255,7 +255,7 @@ class Numbers<S, Real> {
 
 // Numbers of machines side by side, one in each lane. A number that is not varied is the same for
 // all, as with the brakes open: a machine with a closed one takes its steps alone
-// (lane_drives.hpp).
+// (lane_stepper.hpp).
 template <class S, class X>
 class Numbers {
  public:

@@ -15,7 +15,7 @@ class ServedDrives {
  public:
   static constexpr int N = S::N, K = max_states<S>(), row = kRow<N, X>;
   static constexpr int width = kWidth<X>;
-  // Lanes have the regular modes only (lane_drives.hpp).
+  // Lanes have the regular modes only (lane_stepper.hpp).
   static constexpr int M = width == 1 ? max_modes<S>() : 0;
   static constexpr bool linear = !any_drive<S>([](const auto& d) { return !d.is_linear; });
   static constexpr int R = linear ? 0 : K + 1;

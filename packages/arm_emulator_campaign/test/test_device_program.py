@@ -192,7 +192,7 @@ def test_kernels_of_campaigns_are_compiled_ahead(
     files = compile_campaign_for_card(scene, "sm_90", tmp_path / "into")
     arms, smooth, judging = (file.read_text(errors="replace") for file in files)
     assert "fleet_kernels.hpp" in arms and "sampler_kernels.hpp" in arms
-    assert "advance_smoothly.hpp" in smooth and "sampler_kernels.hpp" in smooth
+    assert "advance_to_event.hpp" in smooth and "sampler_kernels.hpp" in smooth
     assert "judges_kernels.hpp" in judging
     # A campaign loads the same kernels.
     units = *build_card_units(scene, KERNELS), build_judges_unit()

@@ -88,7 +88,7 @@ class DeviceCore:
         device.set_stack(STACK_WITH_EVENTS if has_events else STACK)
 
     def _measure_room(self, count: int) -> list[int]:
-        return self.read_sizes("fleet_measure_room", 7, count=count)
+        return self.read_sizes("fleet_measure_memory", 7, count=count)
 
     def read_sizes(self, kernel: str, numbers: int, **values: Any) -> list[int]:
         """Return the numbers that a kernel writes to its `bytes`."""
@@ -145,7 +145,7 @@ class DeviceCore:
         """Write why an arm refused the newest call."""
         fleet, index = arm
         room = self.device.allocate(ARM.get_size("arm_refusal"))
-        self.launch("fleet_tell_why", 1, fleet=fleet.memory, arm=index, why=room)
+        self.launch("fleet_get_refusal", 1, fleet=fleet.memory, arm=index, why=room)
         self._copy_out(room, why, room.size)
         return OK
 
@@ -286,7 +286,7 @@ class DeviceCore:
 
         Measurement and truth have pointers of the device.
         """
-        show = "fleet_show", {"measurement": measurement[0], "truth": truth[0]}
+        show = "fleet_observe", {"measurement": measurement[0], "truth": truth[0]}
         return self._step(fleet, periods, show, tick=-1)
 
     def _step(self, fleet: DeviceFleet, periods: int, *more: _Call, **values: Any) -> int:
@@ -299,7 +299,7 @@ class DeviceCore:
         """Let time go on, see core/fleet_kernels.h."""
         threads = fleet.groups if threads is None else threads
         call = _make_call("fleet_advance", fleet=fleet.memory, **values)
-        smooth = _make_call("fleet_advance_smoothly", fleet=fleet.memory, **values)
+        smooth = _make_call("fleet_advance_to_event", fleet=fleet.memory, **values)
         if not (self._has_queue and call.step == NULL and self._find_smooth_functions(smooth)):
             self._module.launch("fleet_advance", threads, _view_call(call), block=self.block)
             return
@@ -309,7 +309,7 @@ class DeviceCore:
         for period in range(call.periods):
             smooth.period = call.period = period
             for module, kernel, given in (
-                (self._smooth_module, "fleet_advance_smoothly", smooth),
+                (self._smooth_module, "fleet_advance_to_event", smooth),
                 (self._module, "fleet_advance", call),
             ):
                 module.launch(kernel, threads, _view_call(given), block=self.block)
@@ -414,8 +414,12 @@ class DeviceCore:
             "way": own[0],
             "measurement": measurement[0],
         }
-        shown = {"threads": threads, "measurement": measurement[0], "truth": truth[0]}
-        kernels = ("fleet_check_changes", values), ("fleet_advance", values), ("fleet_show", shown)
+        seen = {"threads": threads, "measurement": measurement[0], "truth": truth[0]}
+        kernels = (
+            ("fleet_check_changes", values),
+            ("fleet_advance", values),
+            ("fleet_observe", shown),
+        )
         result = self._check_and_do_each(fleet, kernels)
         if links is not None:
             self._copy_out(links, schedule.links, links.size)
@@ -488,7 +492,7 @@ class DeviceCore:
                 room = self.device.allocate(size)
                 setattr(own, field, cast_pointer(room))
                 back.append((room, host, size))
-        self._launch_on(fleet, "fleet_show", **{name: own[0]})
+        self._launch_on(fleet, "fleet_observe", **{name: own[0]})
         for room, host, size in back:
             self._copy_out(room, host, size)
         return OK

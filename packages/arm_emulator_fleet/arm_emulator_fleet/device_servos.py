@@ -32,12 +32,12 @@ class DeviceServos:
     def servo_fleet_begin(self, servos: CData, arms: int) -> None:
         """Take over the numbers of the joints of so many arms, and forget everything."""
         self._joints, self._arms = int(servos.joints), arms
-        sizes = self._core.read_sizes("servos_measure_room", 3)
+        sizes = self._core.read_sizes("servos_measure_memory", 3)
         groups = self._core.count_groups(arms)
         self._reserve_memory("groups", groups * sizes[0])
         self._reserve_memory("joints", groups * self._joints * sizes[1])
         places = [self._memory[name].pointer for name in ("groups", "joints")]
-        self._write_rows("abreast", np.array(places, np.uint64))
+        self._write_rows("lanes", np.array(places, np.uint64))
         self._copy_servos(servos)
         self._core.launch("servos_begin", groups, servos=self._servos, arms=arms)
 
@@ -81,7 +81,7 @@ class DeviceServos:
             numbers = rows * max(int(servos.row_stride), N)
         for name in ("q", "v", "tau"):
             setattr(own, name, self._copy_rows(name, getattr(servos, name), 8 * numbers))
-        own.abreast = cast_pointer(self._memory["abreast"])
+        own.lanes = cast_pointer(self._memory["lanes"])
         self._device.write(self._servos, view_bytes(own, self._servos.size))
 
     def _put_arms(self, servos: CData) -> CData:

@@ -102,8 +102,8 @@ class Fleet(CoreMachines):
         self._arms: weakref.WeakValueDictionary[int, Plant] = weakref.WeakValueDictionary()
         self._shares = WorkThreads(self._count, self.lanes, workers)
         self._period_worth = self._count * self.scene.steps_per_period
-        self._abreast = self.lanes if device is None else self._count
-        self._longest = max(1, PIECE * self._abreast // self._period_worth)  # periods of a piece
+        self._batch_size = self.lanes if device is None else self._count
+        self._longest = max(1, PIECE * self._batch_size // self._period_worth)  # periods of a piece
         self._commands = np.tile(make_commands(self.scene), (self._count, 1))
         self._zoh_command = ARM.make_struct("arm_command", tick=-1, joint=self._commands)
         self.reset(q=q, v=v, varied=varied)
@@ -469,7 +469,7 @@ class Fleet(CoreMachines):
             ANY_COMMANDS.check_values("Fleet.run", rows)
         rows = np.ascontiguousarray(rows)
         q = np.empty_like(rows)
-        longest = max(1, PIECE * self._abreast // self._count)  # steps between checks for Ctrl-C
+        longest = max(1, PIECE * self._batch_size // self._count)  # steps between checks for Ctrl-C
         if steps > longest:
             for row, after in zip(rows, q, strict=True):
                 for done in range(0, steps, longest):

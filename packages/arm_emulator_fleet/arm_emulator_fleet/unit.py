@@ -23,7 +23,7 @@ NATIVE = "native"  # architecture of the processor
 LANES_OF_THREAD = 2  # arms that a thread of a device advances, of scenes that have lanes
 SERVOS = Header(FOLDER / "servo_fleet.h", (BOUNDARY_FOLDER, SERVO_FOLDER))
 # A card has the kernel of smooth steps in a module of its own, a processor all kernels in one.
-ALL_KERNELS, SMOOTH_KERNEL = "fleet_kernels.hpp", "advance_smoothly.hpp"
+ALL_KERNELS, SMOOTH_KERNEL = "fleet_kernels.hpp", "advance_to_event.hpp"
 KERNELS = Header(FOLDER / "fleet_kernels.h", (BOUNDARY_FOLDER, SERVO_FOLDER))
 
 

@@ -45,7 +45,7 @@ def queued(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         self: Module, kernel: str, threads: int, *given: Any, block: int
     ) -> None:
         launch(self, kernel, threads, *given, block=block)
-        if kernel != "fleet_advance_smoothly":
+        if kernel != "fleet_advance_to_event":
             return
         call = KERNELS.ffi.from_buffer("fleet_advance_call *", given[0])
         begin = KERNELS.get_constant("FLEET_QUEUE_BEGINS")

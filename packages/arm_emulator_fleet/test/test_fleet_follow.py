@@ -272,7 +272,7 @@ def test_code_of_users_over_rows_of_lanes(tmp_path: Path, three_axis: Scene) -> 
 
 @pytest.mark.slow
 def test_code_of_users_moves_arms_on_a_device_as_in_lanes(tmp_path: Path) -> None:
-    """The kernels contain the same file; its arms glide, are cut, and have brakes."""
+    """The kernels contain the same file; its arms stay in lanes, are cut, and have brakes."""
     scene = load_scene("three_axis", SENSED)
     law, file = compiled(tmp_path, ROWS), tmp_path / "mine.c"
     keeps = np.array([len(scene.joints), -1, *[0] * 16], np.int32)

@@ -232,7 +232,7 @@ def test_the_kernels_of_a_scene_are_compiled_ahead(
     assert compile_scene("three_axis", device="sm_90", into=folder) == 0
     files = [Path(line) for line in capsys.readouterr().out.splitlines()]
     assert sorted(folder.iterdir()) == sorted(files)
-    for file, kernels in zip(files, ("fleet_kernels", "advance_smoothly"), strict=True):
+    for file, kernels in zip(files, ("fleet_kernels", "advance_to_event"), strict=True):
         text = file.read_bytes()
         assert file.suffix == ".ptx" and b"--cuda-gpu-arch=sm_90" in text
         assert f'#include "{kernels}.hpp"'.encode() in text

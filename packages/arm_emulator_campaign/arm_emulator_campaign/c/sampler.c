@@ -41,7 +41,7 @@ void sampler_take(void* with, const arm_machine* machine) {
   keep(self, 0, 1);
 }
 
-void sampler_take_abreast(void* with, int32_t first, int32_t arms) {
+void sampler_take_group(void* with, int32_t first, int32_t arms) {
   sampler* self = (sampler*)with;
   self->show(self->fleet, first, arms, NULL, 0, self->measurements, self->truths);
   keep(self, first, arms);

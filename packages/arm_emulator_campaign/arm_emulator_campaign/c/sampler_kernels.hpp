@@ -5,10 +5,10 @@
 
 namespace {
 
-// As sampler_take_abreast, for a group of arms.
+// As sampler_take_group, for a group of arms.
 void sample_group(void* with, std::int32_t first, std::int32_t arms) {
   auto* self = static_cast<sampler*>(with);
-  self->fleet->show(first / arm_fleet::lanes, self->measurements, self->truths);
+  self->fleet->observe(first / arm_fleet::lanes, self->measurements, self->truths);
   keep(self, first, arms);
 }
 

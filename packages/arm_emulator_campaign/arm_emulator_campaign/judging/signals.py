@@ -224,4 +224,4 @@ class FleetSampler(Samples):
             measurements=self._measurement if self.measures else C_NULL,
             truths=self._truth,
         )
-        self.look: CData | str = self.calls.sampler_take_abreast
+        self.look: CData | str = self.calls.sampler_take_group

@@ -12,7 +12,7 @@ namespace {
 
 // arm::is_finite, also of a vector of one number: servos of arms without lanes have these.
 template <class X>
-ARM_INLINE auto find_finite(const X& x) {
+ARM_INLINE auto mark_finite(const X& x) {
   if constexpr (arm::kWidth<X> == 1 && requires { x[0]; }) {
     arm::Mask<X> finite = {};
     finite[0] = arm::is_finite(x[0]) ? -1 : 0;
@@ -24,7 +24,7 @@ ARM_INLINE auto find_finite(const X& x) {
 
 }  // namespace
 
-#define SERVO_IS_FINITE find_finite
+#define SERVO_IS_FINITE mark_finite
 #define SERVO_FLEET_LANES arm_fleet::lanes
 #include "servo_group.hpp"
 // Behind all that the kernels call.
@@ -33,7 +33,7 @@ ARM_INLINE auto find_finite(const X& x) {
 namespace {
 
 // The lowest arm of all that refuse is known, whichever thread is first.
-void note_refusal(std::int32_t* refused, int arm) {
+void record_refusal(std::int32_t* refused, int arm) {
   std::int32_t lowest = __atomic_load_n(refused, __ATOMIC_RELAXED);
   while (arm < lowest && !__atomic_compare_exchange_n(refused, &lowest, arm, true, __ATOMIC_RELAXED,
                                                       __ATOMIC_RELAXED)) {
@@ -48,12 +48,12 @@ struct Advance {
     control.step_rows = call.step || call.step_rows ? call.step_rows : servo_fleet_step;
   }
   // `taken`: see ControlledGroup.
-  ControlledGroup controlled(std::int64_t taken = -1) const {
+  ControlledGroup make_controlled_group(std::int64_t taken = -1) const {
     return {fleet, g, control, call.measurement, call.way, period, taken};
   }
   // The commands of a row, and the positions after it.
   template <class Number>
-  Number* row(Number* rows) const {
+  Number* find_row(Number* rows) const {
     return rows + (period * fleet.arms + std::int64_t{g} * arm_fleet::lanes) * arm_fleet::J;
   }
 

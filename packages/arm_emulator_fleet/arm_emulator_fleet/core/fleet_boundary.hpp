@@ -23,18 +23,18 @@ void arm_fleet_delete(arm_fleet* fleet) { delete fleet; }
 
 arm_machine* arm_fleet_machine(arm_fleet* fleet, std::int32_t arm) {
   if (!fleet || arm < 0 || arm >= fleet->arms) return nullptr;
-  fleet->settle(arm);
-  ++fleet->lent[arm];
+  fleet->move_to_machine(arm);
+  ++fleet->users[arm];
   return fleet->machine[arm];
 }
 void arm_fleet_give_back(arm_fleet* fleet, std::int32_t arm) {
-  if (fleet && arm >= 0 && arm < fleet->arms && fleet->lent[arm] > 0) --fleet->lent[arm];
+  if (fleet && arm >= 0 && arm < fleet->arms && fleet->users[arm] > 0) --fleet->users[arm];
 }
 
 int arm_fleet_run(arm_fleet* fleet, std::int32_t first, std::int32_t arms, const double* command,
                   std::int64_t rows, std::int64_t steps, double* q) {
   constexpr int N = arm_fleet::J, lanes = arm_fleet::lanes;
-  if (!fleet || !command || !q || !fleet->has(first, arms) || rows < 0 || steps < 0)
+  if (!fleet || !command || !q || !fleet->has_arms(first, arms) || rows < 0 || steps < 0)
     return ARM_REFUSED;
   const std::int32_t end = first + arms;
   const std::int64_t stride = std::int64_t{fleet->arms} * N;
@@ -45,7 +45,7 @@ int arm_fleet_run(arm_fleet* fleet, std::int32_t first, std::int32_t arms, const
     if (!finite) return ARM_REFUSED;
   }
   for (std::int32_t k = first; k < end; k += lanes)
-    fleet->follow(k / lanes, command + k * N, stride, rows, steps, q + k * N);
+    fleet->follow_rows(k / lanes, command + k * N, stride, rows, steps, q + k * N);
   return fleet->result_of(first, arms);
 }
 
@@ -59,7 +59,7 @@ int arm_fleet_reset(arm_fleet* fleet, const std::uint8_t* mask, const double* q,
                                                                                   : ARM_OK;
   };
   if (fleet->check_all(mask, check)) return ARM_REFUSED;
-  fleet->for_all(mask, [&](arm_machine* arm, int k) { arm_reset(arm, q + k * N, v + k * N); });
+  fleet->change_arms(mask, [&](arm_machine* arm, int k) { arm_reset(arm, q + k * N, v + k * N); });
   return ARM_OK;
 }
 
@@ -80,8 +80,8 @@ int arm_fleet_set_parameter(arm_fleet* fleet, const std::uint8_t* mask, const ch
     return arm->refuse(-1, "parameter", "be within its bounds", values[k]);
   };
   if (fleet->check_all(mask, check)) return ARM_REFUSED;
-  fleet->for_all(mask,
-                 [&](arm_machine* arm, int k) { arm->machine.set_parameter(place, values[k]); });
+  fleet->change_arms(
+      mask, [&](arm_machine* arm, int k) { arm->machine.set_parameter(place, values[k]); });
   return ARM_OK;
 }
 
@@ -95,8 +95,8 @@ int arm_fleet_set_parameters(arm_fleet* fleet, const std::uint8_t* mask, const d
     return int{ARM_OK};
   };
   if (fleet->check_all(mask, check)) return ARM_REFUSED;
-  fleet->for_all(mask,
-                 [&](arm_machine* arm, int k) { arm->machine.set_parameters(values + k * count); });
+  fleet->change_arms(
+      mask, [&](arm_machine* arm, int k) { arm->machine.set_parameters(values + k * count); });
   return ARM_OK;
 }
 
@@ -108,21 +108,21 @@ int arm_fleet_set_external_wrench(arm_fleet* fleet, const std::uint8_t* mask, st
         return check_wrench(arm, link, wrench + k, given);
       }))
     return ARM_REFUSED;
-  fleet->for_all(mask,
-                 [&](arm_machine* arm, int k) { arm_set_external_wrench(arm, link, wrench + k); });
+  fleet->change_arms(
+      mask, [&](arm_machine* arm, int k) { arm_set_external_wrench(arm, link, wrench + k); });
   return ARM_OK;
 }
 
 void arm_fleet_power(arm_fleet* fleet, const std::uint8_t* on) {
   if (fleet && on)
-    fleet->for_all(nullptr, [&](arm_machine* arm, int k) { arm_power(arm, on[k] != 0); });
+    fleet->change_arms(nullptr, [&](arm_machine* arm, int k) { arm_power(arm, on[k] != 0); });
 }
 
 int arm_fleet_save(const arm_fleet* fleet, void* out, std::int64_t size) {
   const std::int64_t each = arm_saved_size();
   if (!fleet || !out || size != each * fleet->arms) return ARM_REFUSED;
   return fleet->check_all(nullptr, [&](const arm_machine* arm, int k) {
-    fleet->settle(k);
+    fleet->move_to_machine(k);
     return arm_save(arm, static_cast<unsigned char*>(out) + k * each, each);
   });
 }
@@ -137,7 +137,7 @@ int arm_fleet_restore(arm_fleet* fleet, const std::uint8_t* mask, const void* sa
         return check_saved(arm, bytes + k * stride, each);
       }))
     return ARM_REFUSED;
-  fleet->for_all(mask, [&](arm_machine* arm, int k) { take_saved(arm, bytes + k * stride); });
+  fleet->change_arms(mask, [&](arm_machine* arm, int k) { take_saved(arm, bytes + k * stride); });
   return ARM_OK;
 }
 
@@ -155,19 +155,20 @@ int arm_fleet_exchange(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
 int arm_fleet_step(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
                    const arm_command* command, std::int64_t periods,
                    arm_fleet_measurement* measurement, arm_fleet_truth* truth) {
-  if (!fleet || !fleet->has(first, arms) || periods < 0 ||
+  if (!fleet || !fleet->has_arms(first, arms) || periods < 0 ||
       (measurement && measurement->size < sizeof *measurement) ||
       (truth && truth->size < sizeof *truth))
     return ARM_REFUSED;
   constexpr int lanes = arm_fleet::lanes;
   const double* further = nullptr;
   if (periods > 0) {
-    if (!fleet->takes(first, arms, command)) return ARM_REFUSED;
+    if (!fleet->can_take_commands(first, arms, command)) return ARM_REFUSED;
     further = fleet->further_of(*command);
   }
   for (std::int32_t k = first; k < first + arms; k += lanes) {
-    if (periods > 0) fleet->hold(k / lanes, command->joint, further, command->tick, periods);
-    fleet->show(k / lanes, measurement, truth);
+    if (periods > 0)
+      fleet->hold_commands(k / lanes, command->joint, further, command->tick, periods);
+    fleet->observe(k / lanes, measurement, truth);
   }
   return fleet->result_of(first, arms);
 }
@@ -177,7 +178,7 @@ int arm_fleet_follow(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
                      const arm_fleet_way* way, arm_fleet_measurement* measurement,
                      arm_fleet_truth* truth) {
   constexpr int lanes = arm_fleet::lanes;
-  if (!fleet || !fleet->has(first, arms) || periods < 0 || !control ||
+  if (!fleet || !fleet->has_arms(first, arms) || periods < 0 || !control ||
       (way && (way->size < sizeof *way || !way->change != !way->first_change)) ||
       control->size < sizeof *control || !control->step == !control->step_rows || !control->joint ||
       !measurement || measurement->size < sizeof *measurement || !measurement->joint ||
@@ -186,15 +187,15 @@ int arm_fleet_follow(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
   constexpr arm_fleet_way nothing = {};
   const arm_fleet_way& by = way ? *way : nothing;
   if (const int arm = find_refused_change(*fleet, first, arms, by); arm >= 0) {
-    fleet->put_refused(arm);
+    fleet->set_refused(arm);
     return ARM_REFUSED;
   }
   int result = ARM_OK;
   for (std::int32_t k = first; k < first + arms; k += lanes)
-    if (!ControlledGroup(*fleet, k / lanes, *control, *measurement, by).follow(periods))
+    if (!ControlledGroup(*fleet, k / lanes, *control, *measurement, by).advance(periods))
       result = ARM_REFUSED;
   for (std::int32_t k = first; k < first + arms; k += lanes)
-    fleet->show(k / lanes, measurement, truth);
+    fleet->observe(k / lanes, measurement, truth);
   return result == ARM_OK ? fleet->result_of(first, arms) : result;
 }
 

@@ -44,37 +44,37 @@ class GroupChanges {
         first_(group * lanes),
         end_(fleet.end_of(group)),
         way_(way),
-        began_(fleet.known[group].began) {
+        start_ticks_(fleet.status[group].start_ticks) {
     if (!way.change) return;
     for (int k = first_; k < end_; ++k) {
       std::int64_t& next = next_[k - first_];
       next = way.first_change[k];
-      if (begins) began_[k - first_] = fleet.ticks_of(k);
-      while (next < way.first_change[k + 1] && due_at(k) < period) ++next;
-      look_ahead(k);
+      if (begins) start_ticks_[k - first_] = fleet.ticks_of(k);
+      while (next < way.first_change[k + 1] && due_period(k) < period) ++next;
+      update_due(k);
     }
   }
   // Whether some are due before a period of the call.
-  bool are_due(std::int64_t period) const { return period >= due_; }
-  void make(std::int64_t period) {
+  bool has_due(std::int64_t period) const { return period >= due_; }
+  void apply_due(std::int64_t period) {
     due_ = never;
     for (int k = first_; k < end_; ++k) {
       std::int64_t& next = next_[k - first_];
-      for (; next < way_.first_change[k + 1] && due_at(k) <= period; ++next)
-        make(k, way_.change[next]);
-      look_ahead(k);
+      for (; next < way_.first_change[k + 1] && due_period(k) <= period; ++next)
+        apply_change(k, way_.change[next]);
+      update_due(k);
     }
   }
 
  private:
-  std::int64_t due_at(int k) const {
-    return way_.change[next_[k - first_]].tick - began_[k - first_];
+  std::int64_t due_period(int k) const {
+    return way_.change[next_[k - first_]].tick - start_ticks_[k - first_];
   }
-  void look_ahead(int k) {
-    if (next_[k - first_] < way_.first_change[k + 1] && due_at(k) < due_) due_ = due_at(k);
+  void update_due(int k) {
+    if (next_[k - first_] < way_.first_change[k + 1] && due_period(k) < due_) due_ = due_period(k);
   }
-  void make(int k, const arm_fleet_change& change) {
-    fleet_.settle(k);
+  void apply_change(int k, const arm_fleet_change& change) {
+    fleet_.move_to_machine(k);
     arm_machine* const arm = fleet_.machine[k];
     if (change.kind == ARM_CHANGES_PARAMETER)
       arm->machine.set_parameter(change.place, change.value);
@@ -88,8 +88,8 @@ class GroupChanges {
   int first_, end_;
   const arm_fleet_way& way_;
   std::int64_t next_[lanes] = {};
-  std::int64_t (&began_)[lanes];  // ticks of the arms when the call began
-  std::int64_t due_ = never;      // period of the call
+  std::int64_t (&start_ticks_)[lanes];  // ticks of the arms when the call began
+  std::int64_t due_ = never;            // period of the call
 };
 
 }  // namespace

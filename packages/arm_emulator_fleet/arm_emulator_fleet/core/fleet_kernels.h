@@ -14,13 +14,13 @@
 #define FLEET_NONE_REFUSED 2147483647
 
 /* Room that a fleet of `count` arms needs; one thread. */
-typedef struct fleet_measure_room_call {
+typedef struct fleet_measure_memory_call {
   int32_t count;
   int32_t reserved;
   /* Bytes: of the fleet, of its places, of a group with its arms, of a step's half; its lanes;
    * whether it looks for modes or events, and does so in lanes. */
   int64_t* bytes;
-} fleet_measure_room_call;
+} fleet_measure_memory_call;
 
 /* Make a fleet without arms; one thread. Then make its arms. */
 typedef struct fleet_begin_call {
@@ -97,17 +97,17 @@ typedef struct fleet_check_saved_call {
 typedef fleet_check_saved_call fleet_restore_call;
 
 /* Why arm `arm` refused; one thread. */
-typedef struct fleet_tell_why_call {
+typedef struct fleet_get_refusal_call {
   const arm_fleet* fleet;
   int64_t arm;
   arm_refusal* why;
-} fleet_tell_why_call;
+} fleet_get_refusal_call;
 
 /* Time goes on: steps under `periods` rows of commands, servo periods under held commands, or servo
  * periods under control code, for which `joint` and `powered` of the measurement must be there.
  *
  * Without a queue `fleet_advance` does it all. With one, two kernels take each period: in
- * `fleet_advance_smoothly` every group goes on up to its first event, and queues if something is
+ * `fleet_advance_to_event` every group goes on up to its first event, and queues if something is
  * left of its period. `fleet_advance` takes the queue, so that threads with events stand side by
  * side, and others do not wait for them. */
 enum fleet_motion { FLEET_UNDER_ROWS, FLEET_UNDER_HELD_COMMANDS, FLEET_UNDER_CONTROL };
@@ -131,17 +131,17 @@ typedef struct fleet_advance_call {
   int32_t* queue;
 } fleet_advance_call;
 #define FLEET_QUEUE_BEGINS 2
-typedef fleet_advance_call fleet_advance_smoothly_call;
+typedef fleet_advance_call fleet_advance_to_event_call;
 typedef fleet_advance_call fleet_check_commands_call;
 typedef fleet_advance_call fleet_check_changes_call;
 
 /* Measurements and true states, of each if its size is not 0; `refused` may be null. */
-typedef struct fleet_show_call {
+typedef struct fleet_observe_call {
   const arm_fleet* fleet;
   arm_fleet_measurement measurement;
   arm_fleet_truth truth;
   const int32_t* refused;
-} fleet_show_call;
+} fleet_observe_call;
 
 /* One number of each joint, which lie apart, one after the other; a thread for each of them. Whole
  * numbers of `size` bytes become int64_t. */
@@ -167,9 +167,9 @@ typedef struct fleet_look_call {
 
 /* Servos of a fleet: room for a group of arms, its joints and the struct of both; then as
  * servo_fleet.h. */
-typedef struct servos_measure_room_call {
+typedef struct servos_measure_memory_call {
   int64_t* bytes;
-} servos_measure_room_call;
+} servos_measure_memory_call;
 typedef struct servos_begin_call {
   servo_fleet* servos;
   int64_t arms;

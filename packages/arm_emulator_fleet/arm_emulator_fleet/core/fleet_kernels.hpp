@@ -8,30 +8,30 @@ namespace {
 
 // act(machine, arm) for the arms of a group and of a mask, out of their lanes.
 template <class Act>
-void for_arms_of(arm_fleet* fleet, std::int64_t group, const std::uint8_t* mask, Act&& act) {
+void change_group_arms(arm_fleet* fleet, std::int64_t group, const std::uint8_t* mask, Act&& act) {
   const int g = static_cast<int>(group);
   const arm_fleet::State state(*fleet, g);
   for (int k = g * arm_fleet::lanes; k < fleet->end_of(g); ++k)
-    if (!mask || mask[k]) fleet->settle(k), act(fleet->machine[k], k);
+    if (!mask || mask[k]) fleet->move_to_machine(k), act(fleet->machine[k], k);
 }
 
 // Note the first arm of a group and of a mask that check(machine, arm) refuses.
 template <class Check>
-void check_arms_of(const arm_fleet* fleet, std::int64_t group, const std::uint8_t* mask,
-                   std::int32_t* refused, Check&& check) {
+void check_group_arms(const arm_fleet* fleet, std::int64_t group, const std::uint8_t* mask,
+                      std::int32_t* refused, Check&& check) {
   const int g = static_cast<int>(group);
   for (int k = g * arm_fleet::lanes; k < fleet->end_of(g); ++k)
     if ((!mask || mask[k]) && check(fleet->machine[k], k) != ARM_OK)
-      return note_refusal(refused, k);
+      return record_refusal(refused, k);
 }
 
 }  // namespace
 
-ARM_KERNEL(fleet_measure_room) {
+ARM_KERNEL(fleet_measure_memory) {
   const std::int64_t groups = (call.count + arm_fleet::lanes - 1) / arm_fleet::lanes;
   call.bytes[0] = sizeof(arm_fleet);
   call.bytes[1] = call.count * (sizeof(arm_machine*) + sizeof(std::int32_t)) +
-                  groups * (sizeof(arm_fleet::Group*) + sizeof(arm_fleet::Known)) +
+                  groups * (sizeof(arm_fleet::Group*) + sizeof(arm_fleet::GroupStatus)) +
                   arm_fleet::Rows::count_bytes(static_cast<int>(groups));
   call.bytes[2] = sizeof(arm_fleet::Group) + arm_fleet::lanes * sizeof(arm_machine);
   call.bytes[3] = sizeof(arm_fleet::Machine::Method);
@@ -49,7 +49,7 @@ ARM_KERNEL(fleet_end) { call.fleet->~arm_fleet(); }
 
 ARM_KERNEL(fleet_check_start) {
   constexpr std::int64_t N = arm_fleet::J;
-  check_arms_of(call.fleet, thread, call.mask, call.refused, [&](const arm_machine* arm, int k) {
+  check_group_arms(call.fleet, thread, call.mask, call.refused, [&](const arm_machine* arm, int k) {
     for (int j = 0; j < N; ++j) {
       const double q = call.q[k * N + j], v = call.v[k * N + j];
       if (!arm::is_finite(q) || arm::magnitude(q) > call.bounds[j])
@@ -63,8 +63,9 @@ ARM_KERNEL(fleet_check_start) {
 ARM_KERNEL(fleet_reset) {
   if (*call.refused != FLEET_NONE_REFUSED) return;
   constexpr std::int64_t N = arm_fleet::J;
-  for_arms_of(call.fleet, thread, call.mask,
-              [&](arm_machine* arm, int k) { arm_reset(arm, call.q + k * N, call.v + k * N); });
+  change_group_arms(call.fleet, thread, call.mask, [&](arm_machine* arm, int k) {
+    arm_reset(arm, call.q + k * N, call.v + k * N);
+  });
 }
 
 ARM_KERNEL(fleet_get_parameters) {
@@ -74,7 +75,7 @@ ARM_KERNEL(fleet_get_parameters) {
 }
 ARM_KERNEL(fleet_check_parameters) {
   constexpr std::int64_t count = Scene::parameters;
-  check_arms_of(call.fleet, thread, call.mask, call.refused, [&](const arm_machine* arm, int k) {
+  check_group_arms(call.fleet, thread, call.mask, call.refused, [&](const arm_machine* arm, int k) {
     for (int p = 0; p < count; ++p) {
       if (call.place >= 0 && p != call.place) continue;
       const double value = call.values[call.place < 0 ? k * count + p : k];
@@ -87,7 +88,7 @@ ARM_KERNEL(fleet_check_parameters) {
 ARM_KERNEL(fleet_set_parameters) {
   if (*call.refused != FLEET_NONE_REFUSED) return;
   constexpr std::int64_t count = Scene::parameters;
-  for_arms_of(call.fleet, thread, call.mask, [&](arm_machine* arm, int k) {
+  change_group_arms(call.fleet, thread, call.mask, [&](arm_machine* arm, int k) {
     if (call.place < 0)
       arm->machine.set_parameters(call.values + k * count);
     else
@@ -96,56 +97,57 @@ ARM_KERNEL(fleet_set_parameters) {
 }
 
 ARM_KERNEL(fleet_set_wrench) {
-  for_arms_of(call.fleet, thread, call.mask, [&](arm_machine* arm, int k) {
+  change_group_arms(call.fleet, thread, call.mask, [&](arm_machine* arm, int k) {
     arm_set_external_wrench(arm, static_cast<int>(call.link), call.wrench + k);
   });
 }
 
 ARM_KERNEL(fleet_power) {
-  for_arms_of(call.fleet, thread, nullptr,
-              [&](arm_machine* arm, int k) { arm_power(arm, call.on[k] != 0); });
+  change_group_arms(call.fleet, thread, nullptr,
+                    [&](arm_machine* arm, int k) { arm_power(arm, call.on[k] != 0); });
 }
 
 ARM_KERNEL(fleet_save) {
-  for_arms_of(const_cast<arm_fleet*>(call.fleet), thread, nullptr,
-              [&](arm_machine* arm, int k) { write_saved(arm, call.saved + k * call.size); });
+  change_group_arms(const_cast<arm_fleet*>(call.fleet), thread, nullptr,
+                    [&](arm_machine* arm, int k) { write_saved(arm, call.saved + k * call.size); });
 }
 ARM_KERNEL(fleet_save_arm) {
   const int k = static_cast<int>(call.arm);
   const arm_fleet::State state(*call.fleet, k / arm_fleet::lanes);
-  call.fleet->settle(k);
+  call.fleet->move_to_machine(k);
   write_saved(call.fleet->machine[call.arm], call.saved);
 }
 ARM_KERNEL(fleet_check_saved) {
-  check_arms_of(call.fleet, thread, call.mask, call.refused, [&](const arm_machine* arm, int k) {
+  check_group_arms(call.fleet, thread, call.mask, call.refused, [&](const arm_machine* arm, int k) {
     return check_saved(arm, call.saved + k * call.stride, call.size);
   });
 }
 ARM_KERNEL(fleet_restore) {
   if (*call.refused != FLEET_NONE_REFUSED) return;
-  for_arms_of(call.fleet, thread, call.mask,
-              [&](arm_machine* arm, int k) { take_saved(arm, call.saved + k * call.stride); });
+  change_group_arms(call.fleet, thread, call.mask, [&](arm_machine* arm, int k) {
+    take_saved(arm, call.saved + k * call.stride);
+  });
 }
 
-ARM_KERNEL(fleet_tell_why) { *call.why = call.fleet->machine[call.arm]->why; }
+ARM_KERNEL(fleet_get_refusal) { *call.why = call.fleet->machine[call.arm]->why; }
 
 ARM_KERNEL(fleet_check_commands) {
-  check_arms_of(call.fleet, thread, nullptr, call.refused, [&](const arm_machine* arm, int k) {
+  check_group_arms(call.fleet, thread, nullptr, call.refused, [&](const arm_machine* arm, int k) {
     return arm->check_commands(
         call.joint + std::int64_t{k} * arm_fleet::J,
         arm_fleet::row_of(call.further, std::int64_t{k} * Scene::inputs * arm_fleet::J));
   });
 }
-static void show(const arm_fleet& fleet, int g, const arm_fleet_measurement& measurement,
-                 const arm_fleet_truth& truth) {
+static void observe(const arm_fleet& fleet, int g, const arm_fleet_measurement& measurement,
+                    const arm_fleet_truth& truth) {
   if (measurement.size || truth.size)
-    fleet.show(g, measurement.size ? &measurement : nullptr, truth.size ? &truth : nullptr);
+    fleet.observe(g, measurement.size ? &measurement : nullptr, truth.size ? &truth : nullptr);
 }
-ARM_KERNEL(fleet_show) {
+ARM_KERNEL(fleet_observe) {
   if (call.refused && *call.refused != FLEET_NONE_REFUSED) return;
   const int g = static_cast<int>(thread);
   const arm_fleet::State state(*call.fleet, g);
-  show(*call.fleet, g, call.measurement, call.truth);
+  observe(*call.fleet, g, call.measurement, call.truth);
 }
 
 ARM_KERNEL(fleet_gather) {
@@ -171,7 +173,7 @@ ARM_KERNEL(fleet_check_changes) {
   if (const int arm =
           find_refused_change(*call.fleet, first, call.fleet->end_of(g) - first, call.way);
       arm >= 0)
-    note_refusal(call.refused, arm);
+    record_refusal(call.refused, arm);
 }
 // A group with all code: one that queues, the rest of its period; without a queue every group, all
 // periods.
@@ -180,23 +182,23 @@ ARM_KERNEL(fleet_advance) {
   const bool queues = call.queue;
   if (queues && thread >= call.queue[call.period & 1]) return;
   const std::int64_t group = queues ? call.queue[FLEET_QUEUE_BEGINS + thread] : thread;
-  const Advance of(call, group, queues ? call.period : 0);
+  const Advance advance(call, group, queues ? call.period : 0);
   const std::int64_t periods = queues ? 1 : call.periods;
-  arm_fleet& fleet = of.fleet;
-  const std::int64_t taken = queues ? fleet.known[of.g].taken : -1;
-  arm_fleet::State state(fleet, of.g);
+  arm_fleet& fleet = advance.fleet;
+  const std::int64_t taken = queues ? fleet.status[advance.g].taken : -1;
+  arm_fleet::State state(fleet, advance.g);
   if (call.motion == FLEET_UNDER_ROWS) {
     const std::int64_t stride = std::int64_t{fleet.arms} * arm_fleet::J;
-    fleet.follow(of.g, of.row(call.command), stride, periods, call.steps, of.row(call.q),
-                 taken < 0 ? 0 : taken);
+    fleet.follow_rows(advance.g, advance.find_row(call.command), stride, periods, call.steps,
+                      advance.find_row(call.q), taken < 0 ? 0 : taken);
   } else if (call.motion == FLEET_UNDER_CONTROL) {
-    ControlledGroup controlled = of.controlled(taken);
-    if (!(queues ? controlled.finish() : controlled.follow(periods))) {
-      fleet.known[of.g].has_refused = true;
-      note_refusal(call.refused + 1, controlled.refused());
+    ControlledGroup controlled = advance.make_controlled_group(taken);
+    if (!(queues ? controlled.finish_period() : controlled.advance(periods))) {
+      fleet.status[advance.g].has_refused = true;
+      record_refusal(call.refused + 1, controlled.refused());
     }
   } else if (periods > 0) {
-    fleet.hold(of.g, call.joint, call.further, call.tick, periods, taken);
+    fleet.hold_commands(advance.g, call.joint, call.further, call.tick, periods, taken);
   }
   state.store();
 }
@@ -207,10 +209,10 @@ ARM_KERNEL(fleet_look) {
   call.way.look(call.way.with, first, call.fleet->end_of(g) - first);
 }
 
-ARM_KERNEL(servos_measure_room) {
+ARM_KERNEL(servos_measure_memory) {
   call.bytes[0] = sizeof(Group);
   call.bytes[1] = sizeof(Joint);
-  call.bytes[2] = sizeof(servo_joints_abreast);
+  call.bytes[2] = sizeof(servo_lanes);
 }
 ARM_KERNEL(servos_begin) {
   begin_servos(*call.servos, static_cast<int32_t>(thread), static_cast<int32_t>(call.arms));
@@ -227,7 +229,7 @@ ARM_KERNEL(servos_reset) {
   });
 }
 ARM_KERNEL(servos_aim) {
-  for_servos_of(thread, call.arms, [&](int32_t k) { aim_servo(*call.servos, k); });
+  for_servos_of(thread, call.arms, [&](int32_t k) { update_targets(*call.servos, k); });
 }
 ARM_KERNEL(servos_retune) {
   retune_servo(*call.servos, static_cast<int32_t>(call.arm), call.joint);
@@ -239,5 +241,5 @@ extern "C" {
 __attribute__((device)) int arm_is_assembled_quickly = arm_fleet::has_events_in_lanes;
 }
 #else
-#include "advance_smoothly.hpp"
+#include "advance_to_event.hpp"
 #endif

@@ -25,7 +25,7 @@ typedef struct servo_fleet {
    * that holds. Null: the rows above. */
   const int64_t *since, *first_row;
   int64_t* row;
-  struct servo_joints_abreast* abreast; /* of `servo_fleet_begin` */
+  struct servo_lanes* lanes; /* of `servo_fleet_begin` */
 } servo_fleet;
 
 /* Take over the numbers of the joints of so many arms, and forget everything. */

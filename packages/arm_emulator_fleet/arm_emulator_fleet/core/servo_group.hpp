@@ -8,26 +8,26 @@
 #include "servo.c"
 #include "servo_fleet.h"
 
-namespace abreast {
+namespace lane_servo {
 
 #undef SERVO_H
 #define SERVO_LANES SERVO_FLEET_LANES
 #include "servo.c"
 
-}  // namespace abreast
+}  // namespace lane_servo
 
 namespace {
 
 constexpr int L = SERVO_FLEET_LANES;
-using Numbers = abreast::servo_real;
-using Counts = abreast::servo_count;
-using Mask = abreast::servo_mask;
+using Numbers = lane_servo::servo_real;
+using Counts = lane_servo::servo_count;
+using Mask = lane_servo::servo_mask;
 typedef uint8_t Bytes __attribute__((vector_size(L)));
 
 // A joint of a group of arms.
 struct Joint {
-  abreast::servo_joint numbers;
-  abreast::servo_state state;
+  lane_servo::servo_joint numbers;
+  lane_servo::servo_state state;
 };
 
 template <class Vector, class Number>
@@ -39,15 +39,15 @@ Vector load(const Number* row) {
 
 // Every field of both structs has eight bytes, as a lane has.
 constexpr std::size_t kField = 8;
-static_assert(sizeof(abreast::servo_joint) == L * sizeof(servo_joint));
+static_assert(sizeof(lane_servo::servo_joint) == L * sizeof(servo_joint));
 
-void put_lane(abreast::servo_joint& to, int lane, const servo_joint& from) {
+void write_lane(lane_servo::servo_joint& to, int lane, const servo_joint& from) {
   auto* bytes = reinterpret_cast<unsigned char*>(&to);
   const auto* source = reinterpret_cast<const unsigned char*>(&from);
   for (std::size_t field = 0; field < sizeof from / kField; ++field)
     __builtin_memcpy(bytes + (field * L + lane) * kField, source + field * kField, kField);
 }
-void forget_lane(abreast::servo_state& state, int lane) {
+void clear_lane(lane_servo::servo_state& state, int lane) {
   auto* bytes = reinterpret_cast<unsigned char*>(&state);
   for (std::size_t field = 0; field < sizeof state / (kField * L); ++field)
     __builtin_memset(bytes + (field * L + lane) * kField, 0, kField);
@@ -55,7 +55,7 @@ void forget_lane(abreast::servo_state& state, int lane) {
 
 // A group of arms.
 struct Group {
-  abreast::servo clock;
+  lane_servo::servo clock;
   Counts tick;  // servo periods since the reset
   Counts next;  // the tick at which a row of targets comes
 };
@@ -63,8 +63,8 @@ constexpr int64_t kNever = INT64_MAX;
 
 // Targets that come to arms now.
 struct Targets {
-  Mask come = {};   // with these rows, or those of the period before again
-  Mask fresh = {};  // with these rows
+  Mask is_active = {};  // with these rows, or those of the period before again
+  Mask is_new = {};     // with these rows
   const double *q[L] = {}, *v[L] = {}, *tau[L] = {};
 
   // Made of registers: numbers that are stored one by one are not soon loaded as a vector.
@@ -79,16 +79,18 @@ struct Targets {
 constexpr int64_t kAhead = 4;
 
 // The row of an arm that holds from a tick on. Returns the tick of the next one.
-int64_t take_row_at(const servo_fleet& fleet, int32_t k, int l, int64_t tick, Targets& targets) {
+int64_t select_row_of_arm(const servo_fleet& fleet, int32_t k, int l, int64_t tick,
+                          Targets& targets) {
   int64_t& row = fleet.row[k];
   const int64_t last = fleet.first_row[k + 1] - 1;
   while (row < last && fleet.since[row + 1] <= tick) ++row;
   targets.q[l] = fleet.q + row * fleet.joints;
-  targets.fresh[l] = -1;
+  targets.is_new[l] = -1;
   return row < last ? fleet.since[row + 1] : kNever;
 }
 // The row of all arms that comes at a tick, if one does. Returns the tick of the next one.
-int64_t take_row(const servo_fleet& fleet, int32_t k, int l, int64_t tick, Targets& targets) {
+int64_t select_common_row(const servo_fleet& fleet, int32_t k, int l, int64_t tick,
+                          Targets& targets) {
   if (!fleet.rows) return kNever;
   const int64_t due = tick / fleet.periods_per_row, next = (due + 1) * fleet.periods_per_row;
   if (tick + fleet.periods_per_row != next) return next;
@@ -98,7 +100,7 @@ int64_t take_row(const servo_fleet& fleet, int32_t k, int l, int64_t tick, Targe
   targets.q[l] = fleet.q + at;
   targets.v[l] = fleet.v && !last ? fleet.v + at : nullptr;
   targets.tau[l] = fleet.tau ? fleet.tau + at : nullptr;
-  targets.come[l] = targets.fresh[l] = -1;
+  targets.is_active[l] = targets.is_new[l] = -1;
   if (row + kAhead >= fleet.rows) return next;
   const int64_t ahead = at + kAhead * fleet.row_stride;
   __builtin_prefetch(fleet.q + ahead);
@@ -108,59 +110,59 @@ int64_t take_row(const servo_fleet& fleet, int32_t k, int l, int64_t tick, Targe
 }
 
 // Targets of a period of the arms from `first` on.
-void take_rows(const servo_fleet& fleet, int32_t first, Group& group, Targets& targets) {
+void select_rows(const servo_fleet& fleet, int32_t first, Group& group, Targets& targets) {
   const Mask due = group.next <= group.tick;
-  if (fleet.since) targets.come = ~Mask{};  // each in every period
-  if (!abreast::any(due)) return;
+  if (fleet.since) targets.is_active = ~Mask{};  // each in every period
+  if (!lane_servo::any(due)) return;
   for (int l = 0; l < L; ++l)
     if (due[l])
-      group.next[l] =
-          (fleet.since ? take_row_at : take_row)(fleet, first + l, l, group.tick[l], targets);
+      group.next[l] = (fleet.since ? select_row_of_arm : select_common_row)(fleet, first + l, l,
+                                                                            group.tick[l], targets);
 }
 
 }  // namespace
 
-struct servo_joints_abreast {
+struct servo_lanes {
   Group* group;
-  Joint* of;
+  Joint* joint;
 };
 
 namespace {
 
-Joint* joints_of(const servo_fleet& fleet, int32_t arm) {
-  return &fleet.abreast->of[int64_t{arm} / L * fleet.joints];
+Joint* find_joints(const servo_fleet& fleet, int32_t arm) {
+  return &fleet.lanes->joint[int64_t{arm} / L * fleet.joints];
 }
 
 // Have the servo of an arm forget everything.
 void reset_servo(servo_fleet& fleet, int32_t arm) {
   Mask lane = {};
   lane[arm % L] = -1;
-  Group& group = fleet.abreast->group[arm / L];
-  abreast::begin_clock(&group.clock, lane);
+  Group& group = fleet.lanes->group[arm / L];
+  lane_servo::begin_clock(&group.clock, lane);
   group.tick[arm % L] = group.next[arm % L] = 0;
   if (fleet.since) fleet.row[arm] = fleet.first_row[arm];
-  for (int32_t j = 0; j < fleet.joints; ++j) forget_lane(joints_of(fleet, arm)[j].state, arm % L);
+  for (int32_t j = 0; j < fleet.joints; ++j) clear_lane(find_joints(fleet, arm)[j].state, arm % L);
 }
 
 // Take over what an arm's targets are timed by.
-void aim_servo(servo_fleet& fleet, int32_t arm) {
-  Group& group = fleet.abreast->group[arm / L];
+void update_targets(servo_fleet& fleet, int32_t arm) {
+  Group& group = fleet.lanes->group[arm / L];
   group.clock.motion_period[arm % L] = fleet.arm[arm].motion_period;
   group.next[arm % L] = 0;
 }
 
 void retune_servo(servo_fleet& fleet, int32_t arm, const servo_joint* joint) {
   for (int32_t j = 0; j < fleet.joints; ++j)
-    put_lane(joints_of(fleet, arm)[j].numbers, arm % L, joint[j]);
+    write_lane(find_joints(fleet, arm)[j].numbers, arm % L, joint[j]);
 }
 
 // Take over the numbers of the arms of a group of so many arms, and forget everything. Lanes of no
 // arm repeat the last one.
-void begin_servos(servo_fleet& fleet, int32_t of_group, int32_t arms) {
-  Group& group = fleet.abreast->group[of_group];
+void begin_servos(servo_fleet& fleet, int32_t group_index, int32_t arms) {
+  Group& group = fleet.lanes->group[group_index];
   group = Group();
-  for (int32_t j = 0; j < fleet.joints; ++j) joints_of(fleet, of_group * L)[j] = Joint();
-  for (int32_t k = of_group * L; k < (of_group + 1) * L; ++k) {
+  for (int32_t j = 0; j < fleet.joints; ++j) find_joints(fleet, group_index * L)[j] = Joint();
+  for (int32_t k = group_index * L; k < (group_index + 1) * L; ++k) {
     const servo& own = fleet.arm[k < arms ? k : arms - 1];
     group.clock.watchdog.hold_after[k % L] = own.watchdog.hold_after;
     group.clock.watchdog.cut_after[k % L] = own.watchdog.cut_after;
@@ -168,7 +170,7 @@ void begin_servos(servo_fleet& fleet, int32_t of_group, int32_t arms) {
     retune_servo(fleet, k, own.joint);
     if (k >= arms) continue;
     reset_servo(fleet, k);
-    aim_servo(fleet, k);
+    update_targets(fleet, k);
   }
 }
 
@@ -176,37 +178,38 @@ void begin_servos(servo_fleet& fleet, int32_t of_group, int32_t arms) {
 
 void servo_fleet_step(void* with, const arm_fleet_rows* rows) {
   const servo_fleet& fleet = *static_cast<servo_fleet*>(with);
-  const int32_t of_group = rows->first / L;
-  Group& group = fleet.abreast->group[of_group];
-  Joint* const joint = &fleet.abreast->of[of_group * fleet.joints];
+  const int32_t group_index = rows->first / L;
+  Group& group = fleet.lanes->group[group_index];
+  Joint* const joint = &fleet.lanes->joint[group_index * fleet.joints];
   Targets targets;
-  const abreast::servo_past past = abreast::measure_at(&group.clock, group.tick * fleet.period);
-  take_rows(fleet, rows->first, group, targets);
+  const lane_servo::servo_past past =
+      lane_servo::measure_at(&group.clock, group.tick * fleet.period);
+  select_rows(fleet, rows->first, group, targets);
   group.tick += 1;
-  const bool aims = abreast::any(targets.come), fresh = abreast::any(targets.fresh);
-  const Numbers since = aims ? abreast::aim_now(&group.clock, targets.come) : Numbers{};
+  const bool aims = lane_servo::any(targets.is_active), fresh = lane_servo::any(targets.is_new);
+  const Numbers since = aims ? lane_servo::aim_now(&group.clock, targets.is_active) : Numbers{};
   const auto powered = __builtin_convertvector(load<Bytes>(rows->powered), Counts) != 0;
-  const abreast::servo_turn turn = abreast::turn_of(&group.clock, powered);
+  const lane_servo::servo_turn turn = lane_servo::turn_of(&group.clock, powered);
   for (int32_t j = 0; j < fleet.joints; ++j) {
-    const abreast::servo_joint* numbers = &joint[j].numbers;
-    abreast::servo_state* state = &joint[j].state;
+    const lane_servo::servo_joint* numbers = &joint[j].numbers;
+    lane_servo::servo_state* state = &joint[j].state;
     const int32_t at = fleet.place[j] * L;
     Numbers command;
-    Mask lost = abreast::measure_joint(
+    Mask lost = lane_servo::measure_joint(
         numbers, state, &past, load<Counts>(rows->encoder + at), load<Numbers>(rows->current + at),
         load<Numbers>(rows->applied + at), load<Counts>(rows->brake + at) != 0);
     if (aims) {
       Numbers q = state->q_target, v = {}, tau = {};
       if (fresh) {
-        q = targets.fresh ? Targets::of(targets.q, j) : q;
+        q = targets.is_new ? Targets::of(targets.q, j) : q;
         if (fleet.v) v = Targets::of(targets.v, j);
         if (fleet.tau) tau = Targets::of(targets.tau, j);
       }
-      abreast::take_target(state, targets.come, q, v, tau, since);
+      lane_servo::take_target(state, targets.is_active, q, v, tau, since);
     }
-    lost |= abreast::command_joint(numbers, state, &turn, &command);
+    lost |= lane_servo::command_joint(numbers, state, &turn, &command);
     __builtin_memcpy(rows->value + at, &command, sizeof command);
-    if (abreast::any(lost))
+    if (lane_servo::any(lost))
       for (int l = 0; l < rows->arms; ++l) fleet.arm[rows->first + l].restarts += lost[l] != 0;
   }
 }

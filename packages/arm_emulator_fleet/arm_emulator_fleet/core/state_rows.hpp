@@ -47,10 +47,10 @@ class StateRows<Group, true> {
           stride_(rows.stride_),
           state_(group.make_state(common)) {
       for_each_word([](Word& here, const Word& there) { here = there; });
-      group_.use(&state_);
-      group_.put_machines();
+      group_.set_state(&state_);
+      group_.set_machines();
     }
-    ~State() { group_.use(nullptr); }
+    ~State() { group_.set_state(nullptr); }
     State(const State&) = delete;
 
     // Copy it to the rows: time has gone on.
@@ -76,10 +76,10 @@ class StateRows<Group, true> {
   };
 
  private:
-  static constexpr std::int64_t kTogether = 32;  // threads that a card runs together
+  static constexpr std::int64_t kWarpThreads = 32;  // threads that a card runs together
 
   static std::int64_t stride_of(int groups) {
-    return (groups + kTogether - 1) / kTogether * kTogether;
+    return (groups + kWarpThreads - 1) / kWarpThreads * kWarpThreads;
   }
   static std::int64_t count_words() { return Group::LaneState::count_words(); }
 

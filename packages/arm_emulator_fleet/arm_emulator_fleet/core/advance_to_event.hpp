@@ -7,33 +7,34 @@
 namespace {
 
 // A period of a group up to its first event. Whether nothing is left of it.
-bool advance_smoothly(const Advance& of) {
-  const fleet_advance_call& call = of.call;
-  arm_fleet& fleet = of.fleet;
+bool advance_to_event(const Advance& advance) {
+  const fleet_advance_call& call = advance.call;
+  arm_fleet& fleet = advance.fleet;
   if (call.motion == FLEET_UNDER_ROWS)
-    return fleet.follow_smoothly(of.g, of.row(call.command), call.steps, of.row(call.q));
+    return fleet.follow_to_event(advance.g, advance.find_row(call.command), call.steps,
+                                 advance.find_row(call.q));
   if (call.motion == FLEET_UNDER_HELD_COMMANDS)
-    return fleet.hold_smoothly(of.g, call.joint, call.tick);
-  bool& has_refused = fleet.known[of.g].has_refused;
+    return fleet.hold_commands_to_event(advance.g, call.joint, call.tick);
+  bool& has_refused = fleet.status[advance.g].has_refused;
   if (call.period == 0) has_refused = false;
   if (has_refused) return true;
   bool done = false;
-  ControlledGroup controlled = of.controlled();
-  has_refused = !controlled.follow_smoothly(done);
-  if (has_refused) note_refusal(call.refused + 1, controlled.refused());
+  ControlledGroup controlled = advance.make_controlled_group();
+  has_refused = !controlled.advance_to_event(done);
+  if (has_refused) record_refusal(call.refused + 1, controlled.refused());
   return done || has_refused;
 }
 
 }  // namespace
 
 // Groups of which something is left queue for `fleet_advance`, in any order.
-ARM_KERNEL(fleet_advance_smoothly) {
+ARM_KERNEL(fleet_advance_to_event) {
   if (*call.refused != FLEET_NONE_REFUSED) return;
   if (thread == 0) call.queue[1 - (call.period & 1)] = 0;  // of the next period
   if constexpr (arm_fleet::has_events_in_lanes) {
-    const Advance of(call, thread, call.period);
-    arm_fleet::State state(of.fleet, of.g);
-    const bool is_done = advance_smoothly(of);
+    const Advance advance(call, thread, call.period);
+    arm_fleet::State state(advance.fleet, advance.g);
+    const bool is_done = advance_to_event(advance);
     state.store();
     if (is_done) return;
   }

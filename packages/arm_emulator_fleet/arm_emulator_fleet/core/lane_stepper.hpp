@@ -1,4 +1,4 @@
-// Machines side by side whose smooth steps are taken together, and the others each by itself.
+// Machines in lanes whose smooth steps are taken together, and the others each by its machine.
 //
 // A step is smooth for a machine whose drives are in their regular modes at its start and at its
 // end, whose brakes are open and, where events are located, whose links slide or rest all along.
@@ -17,23 +17,23 @@ namespace arm {
 
 // Whether the lanes of a scene need this.
 template <class S>
-inline constexpr bool kStepsApart = max_modes<S>() > 0 || S::brakes > 0 || kLocates<S>;
+inline constexpr bool kHasLaneEvents = max_modes<S>() > 0 || S::brakes > 0 || kLocates<S>;
 
 template <class S, class X, class Machine>
-class SmoothTogether {
+class LaneStepper {
  public:
   using Method = MethodOf<S, X>;
   using Memory = typename Method::Memory;
   using Dynamics = typename Links<S, X>::Dynamics;
   static constexpr int N = S::N, width = kWidth<X>, row = Method::row;
 
-  SmoothTogether(double step, const Numbers<S, X>& numbers, const auto&... common)
+  LaneStepper(double step, const Numbers<S, X>& numbers, const auto&... common)
       : n_(numbers), method_(step, numbers, common...), coulomb_(numbers) {}
 
   // The machine of a lane; null for an unused lane.
-  void put(int lane, Machine* machine) {
+  void set_machine(int lane, Machine* machine) {
     machine_[lane] = machine;
-    there_[lane] = machine ? -1 : 0;
+    is_used_[lane] = machine ? -1 : 0;
   }
   void renew(int lane) {
     forget_links();
@@ -60,18 +60,18 @@ class SmoothTogether {
   ARM_INLINE void step(State<S, X>& x, const X (&u)[row], const Dynamics& links,
                        Exchange& exchange) {
     State<S, X> start = x;
-    const Attempt of = attempt(x, u, links, exchange);
-    if (any(of.alone)) {
-      Memory past = memory_before(of);
+    const Attempt attempt = attempt_step(x, u, links, exchange);
+    if (any(attempt.is_separate)) {
+      Memory past = memory_before(attempt);
       Memory later = method_.memory();
       for (int lane = 0; lane < width; ++lane) {
-        if (!of.alone[lane]) continue;
+        if (!attempt.is_separate[lane]) continue;
         if constexpr (locates)
-          if (of.begins[lane]) {
-            cut_alone(lane, start, u, x, later);
+          if (attempt.is_smooth_at_start[lane]) {
+            step_lane_to_event(lane, start, u, x, later);
             continue;
           }
-        step_alone(lane, start, past, u, x, later);
+        step_state(lane, start, past, u, x, later);
       }
       restore(later);
     }
@@ -79,12 +79,12 @@ class SmoothTogether {
   // A step that no machine has to take alone; where one has to, it returns false and changes
   // nothing.
   template <class Exchange>
-  ARM_INLINE bool step_smoothly(State<S, X>& x, const X (&u)[row], Exchange& exchange) {
+  ARM_INLINE bool try_smooth_step(State<S, X>& x, const X (&u)[row], Exchange& exchange) {
     const State<S, X> start = x;
-    const Attempt of = attempt(x, u, links_at(x), exchange);
-    if (!any(of.alone)) return true;
+    const Attempt attempt = attempt_step(x, u, links_at(x), exchange);
+    if (!any(attempt.is_separate)) return true;
     x = start;
-    restore(memory_before(of));
+    restore(memory_before(attempt));
     return false;
   }
 
@@ -92,27 +92,27 @@ class SmoothTogether {
   // A step of all lanes: in which it was smooth at its start, which must take it alone, and whether
   // the method took it at all.
   struct Attempt {
-    Mask<X> begins, alone;
-    bool taken;
+    Mask<X> is_smooth_at_start, is_separate;
+    bool is_taken;
   };
   template <class Exchange>
-  ARM_INLINE Attempt attempt(State<S, X>& x, const X (&u)[row], const Dynamics& links,
-                             Exchange& exchange) {
+  ARM_INLINE Attempt attempt_step(State<S, X>& x, const X (&u)[row], const Dynamics& links,
+                                  Exchange& exchange) {
     Mask<X> jumps = {};
-    if constexpr (locates) jumps = follow(x, u);
+    if constexpr (locates) jumps = set_algebraic_states(x, u);
     Mask<X> smooth = n_.brakes_open() & is_regular(n_, x, u);
-    const Mask<X> begins = smooth & ~jumps;
-    const bool together = any(smooth & there_);
-    if (together) {
+    const Mask<X> smooth_at_start = smooth & ~jumps;
+    const bool takes_step = any(smooth & is_used_);
+    if (takes_step) {
       if constexpr (locates)
-        smooth &= locate(x, u, links);
+        smooth &= step_locating_events(x, u, links);
       else
-        smooth &= take(x, u, links, exchange);
+        smooth &= step_lanes(x, u, links, exchange);
     }
-    return {begins, there_ & ~smooth, together};
+    return {smooth_at_start, is_used_ & ~smooth, takes_step};
   }
-  Memory memory_before(const Attempt& of) const {
-    return of.taken ? method_.memory_before() : method_.memory();
+  Memory memory_before(const Attempt& attempt) const {
+    return attempt.is_taken ? method_.memory_before() : method_.memory();
   }
 
   static constexpr bool locates = kLocates<S>;
@@ -120,7 +120,8 @@ class SmoothTogether {
 
   // A step of all lanes. Returns where it was smooth.
   template <class Exchange>
-  ARM_INLINE Mask<X> take(State<S, X>& x, const X (&u)[row], Dynamics links, Exchange& exchange) {
+  ARM_INLINE Mask<X> step_lanes(State<S, X>& x, const X (&u)[row], Dynamics links,
+                                Exchange& exchange) {
     State<S, X> drives_end = x;
     method_.step(x, u, links, exchange);
     if constexpr (requires { Method::holds_links; })
@@ -131,37 +132,37 @@ class SmoothTogether {
     return is_regular(n_, drives_end, u);
   }
   // The same with location of events.
-  Mask<X> locate(State<S, X>& x, const X (&u)[row], const Dynamics& links) {
+  Mask<X> step_locating_events(State<S, X>& x, const X (&u)[row], const Dynamics& links) {
     if constexpr (Friction::present)
       if (!confirmed_) find_friction(x, u, links);
-    if (rest_)
+    if (is_all_at_rest_)
       method_.step_at_rest(x, u, links);
     else
       method_.step_using_up(memo_.used_up(), modes_, x, u);
     Mask<X> smooth = X{} == X{};
-    if constexpr (Friction::present) smooth = friction_holds(modes_, x, u);
-    follow(x, u);
+    if constexpr (Friction::present) smooth = check_friction(modes_, x, u);
+    set_algebraic_states(x, u);
     return smooth & is_regular(n_, x, u);
   }
 
   void find_friction(const State<S, X>& x, const X (&u)[row], const Dynamics& links) {
     X rhs[N];
-    torques(x, u, links, rhs);
+    compute_torques(x, u, links, rhs);
     coulomb_.take(x, x, u, regular_modes);
-    coulomb_.decide([&] { return loaded(links); }, x.v, rhs);
+    coulomb_.decide([&] { return compute_loaded_inertia(links); }, x.v, rhs);
     modes_ = coulomb_.modes();
-    rest_ = modes_.rest();
+    is_all_at_rest_ = modes_.rest();
   }
-  Mask<X> friction_holds(const typename Friction::Modes& modes, const State<S, X>& y,
+  Mask<X> check_friction(const typename Friction::Modes& modes, const State<S, X>& y,
                          const X (&u)[row]) {
     Mask<X> hold = X{} == X{};
     for (int j = 0; j < N; ++j) hold &= y.v[j] * modes.direction[j] >= 0.0;
     if (modes.lock()) {
       const Dynamics& links = memo_.at(n_, y);
       X rhs[N];
-      torques(y, u, links, rhs);
+      compute_torques(y, u, links, rhs);
       coulomb_.take(y, y, u, regular_modes);
-      coulomb_.hold_in(modes, [&] { return loaded(links); }, rhs);
+      coulomb_.hold_in(modes, [&] { return compute_loaded_inertia(links); }, rhs);
       for (int j = 0; j < N; ++j) hold &= select(modes.locked[j], coulomb_.spare(j), X{}) >= 0.0;
     }
     confirmed_ = coulomb_.confirms(modes, y.v);
@@ -169,13 +170,13 @@ class SmoothTogether {
   }
 
   // M with the rotors that the links carry.
-  auto loaded(const Dynamics& links) const {
+  auto compute_loaded_inertia(const Dynamics& links) const {
     auto M = links.M;
     for (int j = 0; j < N; ++j) M.at[j][j] += n_.carried(j);
     return M;
   }
   // Torques that accelerate the links, without dry friction.
-  void torques(const State<S, X>& x, const X* u, const Dynamics& links, X* rhs) const {
+  void compute_torques(const State<S, X>& x, const X* u, const Dynamics& links, X* rhs) const {
     const auto put = [&](int j, const X& g)
                          __attribute__((always_inline)) { rhs[j] = g - links.nle[j]; };
     if constexpr (Numbers<S, X>::drives_vary) {
@@ -196,7 +197,7 @@ class SmoothTogether {
   };
 
   // Set the algebraic states. Returns in which lanes a drive has one.
-  Mask<X> follow(State<S, X>& x, const X* u) {
+  Mask<X> set_algebraic_states(State<S, X>& x, const X* u) {
     Mask<X> has = {};
     for (int lane = 0; lane < width; ++lane)
       n_.for_each_drive_of(lane, [&](const auto& drive, int j) __attribute__((always_inline)) {
@@ -210,45 +211,45 @@ class SmoothTogether {
     return has;
   }
 
-  using OfOne = typename Machine::Threads::Memory;
+  using MachineMemory = typename Machine::Threads::Memory;
 
   // Take the step of one lane from `start` by its machine.
-  ARM_APART void step_alone(int lane, State<S, X>& start, Memory& past, const X (&commands)[row],
+  ARM_APART void step_state(int lane, State<S, X>& start, Memory& past, const X (&commands)[row],
                             State<S, X>& end, Memory& later) const {
     State<S> x;
-    OfOne memory = {};
+    MachineMemory memory = {};
     double u[Machine::Stepper::row];
-    take_lane(lane, commands, u), take_lane(lane, start, x), take_lane(lane, past, memory);
-    machine_[lane]->step_alone(x, u, memory);
-    put_lane(lane, x, end), put_lane(lane, memory, later);
+    read_lane(lane, commands, u), read_lane(lane, start, x), read_lane(lane, past, memory);
+    machine_[lane]->step_state(x, u, memory);
+    write_lane(lane, x, end), write_lane(lane, memory, later);
   }
   // The same of one that was smooth at its start: `end` is its end without events.
-  ARM_APART void cut_alone(int lane, State<S, X>& start, const X (&commands)[row], State<S, X>& end,
-                           Memory& later) const {
+  ARM_APART void step_lane_to_event(int lane, State<S, X>& start, const X (&commands)[row],
+                                    State<S, X>& end, Memory& later) const {
     State<S> x, y;
-    OfOne memory = {};
+    MachineMemory memory = {};
     double u[Machine::Stepper::row];
-    take_lane(lane, commands, u), take_lane(lane, start, x), take_lane(lane, end, y),
-        take_lane(lane, later, memory);
+    read_lane(lane, commands, u), read_lane(lane, start, x), read_lane(lane, end, y),
+        read_lane(lane, later, memory);
     typename Coulomb<S, Real>::Modes links;
     for (int j = 0; j < N; ++j)
       links.locked[j] = modes_.locked[j][lane] != 0, links.direction[j] = modes_.direction[j][lane];
-    machine_[lane]->step_alone_to(y, links, x, u, memory);
-    put_lane(lane, x, end), put_lane(lane, memory, later);
+    machine_[lane]->step_state_to(y, links, x, u, memory);
+    write_lane(lane, x, end), write_lane(lane, memory, later);
   }
 
   // Copies of a lane's numbers; what is copied is only read.
-  static void take_lane(int lane, const X (&commands)[row], double (&u)[Machine::Stepper::row]) {
-    for (double& one : u) one = 0.0;
+  static void read_lane(int lane, const X (&commands)[row], double (&u)[Machine::Stepper::row]) {
+    for (double& number : u) number = 0.0;
     for (int j = 0; j < N; ++j) u[j] = commands[j][lane];
   }
-  static void take_lane(int lane, auto& from, auto& to) {
+  static void read_lane(int lane, auto& from, auto& to) {
     double numbers[sizeof to / sizeof(double) + 1];
     double *next = numbers, *first = numbers;
     for_each_number_of(from, [&](const X& number) { *next++ = number[lane]; });
     for_each_number_of(to, [&](double& number) { number = *first++; });
   }
-  static void put_lane(int lane, auto& from, auto& to) {
+  static void write_lane(int lane, auto& from, auto& to) {
     double numbers[sizeof from / sizeof(double) + 1];
     double *next = numbers, *first = numbers;
     for_each_number_of(from, [&](double number) { *next++ = number; });
@@ -267,9 +268,9 @@ class SmoothTogether {
   // Modes of a step, and whether its end calls for them again: then they are those of the next.
   typename Friction::Modes modes_ = {};
   bool confirmed_ = false;
-  bool rest_ = false;  // all links of all lanes
+  bool is_all_at_rest_ = false;  // all links of all lanes
   Machine* machine_[width] = {};
-  Mask<X> there_ = {};
+  Mask<X> is_used_ = {};
 };
 
 }  // namespace arm
