@@ -359,6 +359,26 @@ def test_a_read_only_cache_falls_back(
     assert len(list(folder.glob("*.so"))) == 2, f"libraries in {folder}"
 
 
+def test_compilations_of_tests_share_a_compiled_header(tmp_path: Path) -> None:
+    """Each of them has a temporary folder of its own."""
+    log = tmp_path / "log"
+    Path(fake_compiler(tmp_path, f'echo "$*" >> {log}; touch "$out"')).rename(tmp_path / "c++")
+    environment = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    words = ["-O3", "-march=native", f"-I{CORE}", f"-D{tmp_path}", "-o"]
+    for name in "first", "second":
+        (tmp_path / name).mkdir()
+        subprocess.run(
+            [Path(__file__).parent / "quick_cxx", *words, tmp_path / f"{name}.so"],
+            env=environment | {"TMPDIR": str(tmp_path / name)},
+            check=True,
+        )
+    header, *units = log.read_text().splitlines()
+    assert " -x c++-header " in header
+    (included,) = {words.partition(" -include ")[2] for words in units}
+    for file in (included, f"{included}.gch"):
+        Path(file).unlink()
+
+
 def test_no_place_for_a_cache_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     blocked = tmp_path / "a_file"
     blocked.touch()
