@@ -418,7 +418,7 @@ class DeviceCore:
         kernels = (
             ("fleet_check_changes", values),
             ("fleet_advance", values),
-            ("fleet_observe", shown),
+            ("fleet_observe", seen),
         )
         result = self._check_and_do_each(fleet, kernels)
         if links is not None:
