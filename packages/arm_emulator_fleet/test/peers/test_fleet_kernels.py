@@ -52,7 +52,7 @@ def test_kernels_call_nothing_that_a_card_has_not(robot: str, part: str) -> None
 
 @needs_clang
 @needs_ptxas
-@pytest.mark.parametrize("number", some(CARDS, 2))
+@pytest.mark.parametrize("number", CARDS)
 @pytest.mark.parametrize("part", PARTS)
 @pytest.mark.parametrize("robot", some(ROBOTS, 1))
 def test_no_thread_needs_more_stack_than_it_gets(
