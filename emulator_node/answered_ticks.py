@@ -7,7 +7,7 @@ from rclpy.subscription import Subscription
 from arm_emulator.ros.c import MIDDLEWARE
 from arm_emulator.ros.messages.middleware import get_middleware
 from arm_emulator.toolchain.c_header import NULL, CData
-from arm_emulator.toolchain.unit import compile_once
+from arm_emulator.toolchain.compile_unit import compile_once
 from emulator_node.breakpoints import Breakpoints
 from emulator_node.c import ANSWERED_TICKS, make_answered_ticks_unit
 from emulator_node.command_reader import CommandReader

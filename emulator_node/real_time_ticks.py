@@ -13,7 +13,7 @@ from arm_emulator.machine.session.phase import Phase
 from arm_emulator.machine.session.real_time import RealTimeLoop
 from arm_emulator.ros.messages.middleware import Outgoing, get_middleware
 from arm_emulator.toolchain.c_header import CData
-from arm_emulator.toolchain.unit import compile_once
+from arm_emulator.toolchain.compile_unit import compile_once
 from emulator_node.c import REAL_TIME_TICKS, make_real_time_ticks_unit
 from emulator_node.command_reader import CommandReader
 from emulator_node.context import Context

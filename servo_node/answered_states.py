@@ -15,7 +15,7 @@ from arm_emulator.ros.messages.message_reader import STAMP, MessageReader, RowBo
 from arm_emulator.ros.messages.middleware import Outgoing, get_middleware
 from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator.servo.servo_config import ServoConfig
-from arm_emulator.toolchain.unit import compile_once
+from arm_emulator.toolchain.compile_unit import compile_once
 from arm_emulator_msgs.msg import MotorState
 from servo_node.c import ANSWERED_STATES, make_answered_states_unit
 

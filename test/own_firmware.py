@@ -16,9 +16,9 @@ from arm_emulator.runs.servo_step import make_servo_step_unit
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_law import servo_law
 from arm_emulator.tick.c import FOLDERS
+from arm_emulator.toolchain.compile_unit import load_library
 from arm_emulator.toolchain.compiler_command import find_compiler
 from arm_emulator.toolchain.flags import C_FLAGS
-from arm_emulator.toolchain.unit import load_library
 
 ROOT = Path(__file__).resolve().parents[1]
 

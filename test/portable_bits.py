@@ -29,8 +29,9 @@ from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.plant.outputs import KNOWN, list_outputs
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from arm_emulator.runs.table_run import load_table_run
+from arm_emulator.toolchain.compile_unit import compile_units
 from arm_emulator.toolchain.flags import C_FLAGS
-from arm_emulator.toolchain.unit import Unit, compile_units
+from arm_emulator.toolchain.unit import Unit
 from arm_emulator_fleet import Fleet
 from arm_emulator_fleet.unit import build_fleet_unit
 

@@ -21,7 +21,7 @@ from arm_emulator.core import CORE
 from arm_emulator.machine.plant.compiler import FLAGS, compile_ahead, load_machine
 from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.tick.c import tick_unit
-from arm_emulator.toolchain import cxx, unit
+from arm_emulator.toolchain import compile_unit, cxx
 from arm_emulator.toolchain.compiler_command import find_compiler, identify_compiler
 from arm_emulator.toolchain.flags import SHARED
 from arm_emulator.toolchain.library_cache import CACHE_VARIABLE, SEAL_SIZE
@@ -45,7 +45,7 @@ def quick_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One that gives three_axis' library, or that of its periods, without the work."""
     for name, compiled in (
         ("made", load_machine(load_scene("three_axis"))),
-        ("tick", unit.load_library(tick_unit())),
+        ("tick", compile_unit.load_library(tick_unit())),
     ):
         (tmp_path / name).write_bytes(Path(compiled.file).read_bytes()[:-SEAL_SIZE])
     of_ticks = 'grep -q tick.c "${out%.so}.cpp"'
@@ -272,7 +272,7 @@ def test_random_output_of_a_compiler_is_never_loaded(
     full = next(Path(line.split()[-1]) for line in Path("/proc/self/maps").read_text().splitlines()
                  if full.name in line)  # fmt: skip
     library = full.read_bytes()
-    monkeypatch.setattr(unit, "Library", lambda *_: pytest.fail("it was loaded"))
+    monkeypatch.setattr(compile_unit, "Library", lambda *_: pytest.fail("it was loaded"))
     compiled = tmp_path / "made"
     monkeypatch.setenv("CXX", fake_compiler(tmp_path, f'cp {compiled} "$out"'))
     rng = np.random.default_rng(4)

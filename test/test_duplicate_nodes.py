@@ -18,8 +18,9 @@ from arm_emulator.base.io.config_files import find_config
 from arm_emulator.ros.node import duplicate_nodes
 from arm_emulator.ros.process.bringup import Bringup
 from arm_emulator.runs.offline import load_offline_run
+from arm_emulator.toolchain.compile_unit import compile_once
 from arm_emulator.toolchain.flags import C_FLAGS
-from arm_emulator.toolchain.unit import Unit, compile_once
+from arm_emulator.toolchain.unit import Unit
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand
 from emulator_node.c import FOLDERS, MOTOR_COMMANDS
 from emulator_node.command_reader import CommandReader

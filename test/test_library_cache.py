@@ -23,7 +23,7 @@ from arm_emulator.machine.plant.compiler import (
     load_machine,
     load_real_time,
 )
-from arm_emulator.toolchain import library_cache, unit
+from arm_emulator.toolchain import compile_unit, library_cache
 from arm_emulator.toolchain.elf import replace_data
 from arm_emulator.toolchain.library_cache import CACHE_VARIABLE, SIZE_VARIABLE
 
@@ -72,7 +72,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
     compiler = fake_compiler(folder, f'{which}\ncp {folder}/$name "$out"')
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CXX", compiler)
-        name = unit._name_library(build_machine_unit(scene), "native", unit.HOST)
+        name = compile_unit._name_library(build_machine_unit(scene), "native", compile_unit.HOST)
     return Sound(at, scene, name, (folder / "one_link").read_bytes(), compiler)
 
 

@@ -23,9 +23,10 @@ from rosgraph_msgs.msg import Clock
 
 import arm_emulator.workarounds
 from arm_emulator.ros.process.ros_domain import own_domain
+from arm_emulator.toolchain.compile_unit import compile_bytes
 from arm_emulator.toolchain.compiler_command import find_compiler
 from arm_emulator.toolchain.flags import C_FLAGS
-from arm_emulator.toolchain.unit import Unit, compile_bytes
+from arm_emulator.toolchain.unit import Unit
 from arm_emulator.workarounds import gcc_constant_copies
 
 FOLDER = Path(arm_emulator.workarounds.__file__).parent

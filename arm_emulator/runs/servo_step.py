@@ -12,8 +12,9 @@ from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator.tick import c as tick
 from arm_emulator.toolchain.c_header import Header
+from arm_emulator.toolchain.compile_unit import compile_once
 from arm_emulator.toolchain.flags import C_FLAGS
-from arm_emulator.toolchain.unit import Unit, compile_once
+from arm_emulator.toolchain.unit import Unit
 
 HERE = Path(__file__).resolve().parent
 STEP = Header(HERE / "servo_step.h", (*tick.FOLDERS, FOLDER))

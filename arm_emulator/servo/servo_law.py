@@ -6,8 +6,9 @@ import numpy.typing as npt
 
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.toolchain.c_header import Header
+from arm_emulator.toolchain.compile_unit import compile_once
 from arm_emulator.toolchain.flags import C_FLAGS
-from arm_emulator.toolchain.unit import Unit, compile_once
+from arm_emulator.toolchain.unit import Unit
 
 SERVO = Header(FOLDER / "servo.h")
 

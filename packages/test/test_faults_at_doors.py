@@ -28,7 +28,7 @@ from arm_emulator.machine.session.firmware import Firmware
 from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
-from arm_emulator.toolchain.unit import compile_units
+from arm_emulator.toolchain.compile_unit import compile_units
 from arm_emulator_fieldbus.drives_unit import CANOPEN, ETHERCAT
 from arm_emulator_fmu.export import export
 from faults_at_doors import (

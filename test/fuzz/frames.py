@@ -16,7 +16,7 @@ from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.core import BOUNDARY
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.toolchain.c_header import Header, Library, read_text
-from arm_emulator.toolchain.unit import load_library as compiled
+from arm_emulator.toolchain.compile_unit import load_library as compiled
 from arm_emulator_fieldbus.drives_unit import DRIVES_CORE, drives_unit
 from arm_emulator_fieldbus.ethercat import SEGMENT, Segment
 from fuzz.line import FAILED, REFUSED, TAKEN, report

@@ -19,7 +19,7 @@ from arm_emulator.ros.c import make_middleware_unit
 from arm_emulator.runs.servo_step import make_servo_step_unit
 from arm_emulator.servo.servo_law import make_servo_unit
 from arm_emulator.tick.c import tick_unit
-from arm_emulator.toolchain.unit import compile_units
+from arm_emulator.toolchain.compile_unit import compile_units
 from emulator_node.c import make_answered_ticks_unit, make_real_time_ticks_unit
 from servo_node.c import make_answered_states_unit
 

@@ -10,8 +10,9 @@ from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.tick.c import FOLDERS, REAL_TIME
 from arm_emulator.toolchain.c_header import Header, Library
+from arm_emulator.toolchain.compile_unit import compile_units, load_library
 from arm_emulator.toolchain.flags import CPP_FLAGS
-from arm_emulator.toolchain.unit import Unit, compile_units, load_library
+from arm_emulator.toolchain.unit import Unit
 
 # Directions of derivatives that one run follows. With 16, whose numbers fill more registers than
 # there are, one direction takes twice as long.
@@ -103,7 +104,7 @@ def load_real_time() -> Library:
 
 def compile_ahead(scene: Scene, target: str, folder: Path | None) -> list[Path]:
     """Compile machine, equations and real-time loop, see
-    `arm_emulator.toolchain.unit.compile_units`.
+    `arm_emulator.extension.compiler.compile_units`.
 
     Args:
         scene: the scene.

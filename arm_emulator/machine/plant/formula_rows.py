@@ -19,8 +19,9 @@ from arm_emulator.base.expression.formula import (
 from arm_emulator.core import BOUNDARY
 from arm_emulator.tick.c import FOLDER, FOLDERS
 from arm_emulator.toolchain.c_header import Header
+from arm_emulator.toolchain.compile_unit import compile_once
 from arm_emulator.toolchain.flags import C_FLAGS
-from arm_emulator.toolchain.unit import Unit, compile_once
+from arm_emulator.toolchain.unit import Unit
 
 Row = tuple[str, int, int, float]
 _KINDS = {

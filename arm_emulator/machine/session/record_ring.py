@@ -8,8 +8,9 @@ import numpy as np
 from arm_emulator.base.column import Rows
 from arm_emulator.tick.c import FOLDER, FOLDERS
 from arm_emulator.toolchain.c_header import Header, Library
+from arm_emulator.toolchain.compile_unit import compile_once
 from arm_emulator.toolchain.flags import C_FLAGS
-from arm_emulator.toolchain.unit import Unit, compile_once
+from arm_emulator.toolchain.unit import Unit
 
 RING = Header(FOLDER / "record_ring.h", FOLDERS)
 LISTENERS = Header(FOLDER / "listeners.h", FOLDERS)

@@ -21,8 +21,9 @@ from arm_emulator.motion.model.kinematics import (
 )
 from arm_emulator.motion.model.pinocchio_model import JOINT, WHERE
 from arm_emulator.toolchain.c_header import NULL, CData, Header, make_pointer
+from arm_emulator.toolchain.compile_unit import compile_once
 from arm_emulator.toolchain.flags import CPP_FLAGS
-from arm_emulator.toolchain.unit import Unit, compile_once
+from arm_emulator.toolchain.unit import Unit
 
 
 class ArmTree(SharedObject):

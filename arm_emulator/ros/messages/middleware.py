@@ -16,7 +16,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.c import MIDDLEWARE, make_middleware_unit
 from arm_emulator.ros.messages.fixed_layout import FixedLayout
 from arm_emulator.toolchain.c_header import CData, Library
-from arm_emulator.toolchain.unit import load_library
+from arm_emulator.toolchain.compile_unit import load_library
 
 LIBRARIES = ("librcutils.so", "librcl.so")  # rclpy has loaded them, but for itself
 

@@ -4,8 +4,9 @@ from pathlib import Path
 
 from arm_emulator.core import BOUNDARY
 from arm_emulator.toolchain.c_header import Header
+from arm_emulator.toolchain.compile_unit import compile_once
 from arm_emulator.toolchain.flags import C_FLAGS
-from arm_emulator.toolchain.unit import Unit, compile_once
+from arm_emulator.toolchain.unit import Unit
 
 FOLDER = Path(__file__).resolve().parent
 FOLDERS = (FOLDER, BOUNDARY)

@@ -12,8 +12,8 @@ from test_lanes import ELASTIC, WINDING
 
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.plant.compiler import compile_ahead
+from arm_emulator.toolchain.compile_unit import compile_units
 from arm_emulator.toolchain.library_cache import CACHE_VARIABLE
-from arm_emulator.toolchain.unit import compile_units
 from arm_emulator_fleet import Fleet
 from arm_emulator_fleet.unit import build_fleet_unit
 from oracles.random_machines import write_machine

@@ -48,7 +48,7 @@ def export(
     Args:
         scene: the machine; its `varied` numbers become tunable parameters.
         out: the file, which ends in ``.fmu``.
-        target: which processors its binary is for, see `arm_emulator.toolchain.unit.compile_units`.
+        target: which processors its binary is for, see `compile_units`.
         version: of FMI, one of `unit.VERSIONS`; without arrays in FMI 2.
         windows: with a binary for 64-bit Windows, too.
 

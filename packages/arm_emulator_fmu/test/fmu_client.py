@@ -16,7 +16,7 @@ from arm_emulator import Plant, Scene
 from arm_emulator.machine.plant.compiler import build_machine_unit
 from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator.toolchain.c_header import Library
-from arm_emulator.toolchain.unit import compile_units
+from arm_emulator.toolchain.compile_unit import compile_units
 from oracles.random_chain import LINK
 
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)

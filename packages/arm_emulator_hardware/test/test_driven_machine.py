@@ -15,8 +15,8 @@ from arm_emulator.machine.plant.compiler import compile_ahead
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_numbers import make_servo_numbers
 from arm_emulator.tick.c import FOLDERS
+from arm_emulator.toolchain.compile_unit import compile_units
 from arm_emulator.toolchain.compiler_command import find_compiler
-from arm_emulator.toolchain.unit import compile_units
 
 ROOT = Path(__file__).resolve().parents[3]
 SOURCES = ROOT / "packages/arm_emulator_hardware/src"

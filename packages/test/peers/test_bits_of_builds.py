@@ -15,7 +15,7 @@ from draws import some
 from portable_bits import STORED
 from test_compilers import compilers
 
-from arm_emulator.toolchain.unit import PORTABLE_TARGETS
+from arm_emulator.toolchain.targets import PORTABLE_TARGETS
 
 KINDS = [*compilers("clang++"), *compilers("g++")]
 TARGETS = ("native", *PORTABLE_TARGETS)

@@ -18,7 +18,7 @@ import pathlib, sys
 import numpy as np
 import arm_emulator.machine.plant.compiler as of_machines
 from arm_emulator import Plant, load_scene
-from arm_emulator.toolchain.unit import compile_units
+from arm_emulator.toolchain.compile_unit import compile_units
 from machines import SENSED
 
 way, target, level, file = *sys.argv[1:4], pathlib.Path(sys.argv[4])
