@@ -38,8 +38,8 @@ from arm_emulator.extension.runs import (
 )
 from arm_emulator.extension.runs import ServoDrives as ServoArm
 from arm_emulator_fleet.fleet import Fleet
+from arm_emulator_fleet.fleet_arguments import choose_arms
 from arm_emulator_fleet.fleet_control import FleetControl
-from arm_emulator_fleet.fleet_machines import choose_arms
 from arm_emulator_fleet.unit import FOLDER, SERVOS
 
 _MAX_PERIODS = 10**9
