@@ -1,4 +1,7 @@
-"""A new scene with servo, motion control and a demo, from a robot description."""
+"""A new scene with servo, motion control and a demo, from a robot description.
+
+Each section of a scene is computed from the sections before it, hence the length.
+"""
 
 import re
 import tempfile

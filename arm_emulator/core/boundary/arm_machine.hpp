@@ -1,4 +1,6 @@
 // A scene's machine behind arm.h: its sensors, its commands and its checks.
+//
+// One class, with a member for each function of arm.h, hence the length.
 #pragma once
 
 #include <time.h>

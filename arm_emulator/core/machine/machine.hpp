@@ -1,4 +1,6 @@
 // The machine: motors, gears and links of one scene, integrated over time.
+//
+// One class: its members share the state that a step changes, hence the length.
 #pragma once
 
 #include <cstdint>

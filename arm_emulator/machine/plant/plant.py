@@ -1,4 +1,7 @@
-"""The emulated machine as a plain object: commands in, states out. Without ROS."""
+"""The emulated machine as a plain object: commands in, states out. Without ROS.
+
+One public class, whose methods are the calls of a machine, hence the length.
+"""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 A tick is the start of a servo period. The session publishes nothing. Where its owner lets time
 pass, that asks `may_advance` and calls `advance`; where a loop does, it calls `wait` and `take`.
+One class: its methods share the state of the run, hence the length.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Instructions to the servo, one per motion period: the current order, results of the others."""
+"""Instructions to the servo, one per motion period: the current order, results of the others.
+
+One class: every order shares the state of the motion in progress, hence the length.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,4 +1,7 @@
-"""The functions of core/arm_fleet.h for arms that stay on a device."""
+"""The functions of core/arm_fleet.h for arms that stay on a device.
+
+One class with a method for each of these functions, hence the length.
+"""
 
 from __future__ import annotations
 

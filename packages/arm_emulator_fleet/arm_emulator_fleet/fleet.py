@@ -1,4 +1,7 @@
-"""Many arms of one scene, each with its own numbers and state, advanced side by side."""
+"""Many arms of one scene, each with its own numbers and state, advanced side by side.
+
+One public class, whose methods are the calls of a fleet, hence the length.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Many machines of one compiled core: all that is asked of them and set between their steps."""
+"""Many machines of one compiled core: all that is asked of them and set between their steps.
+
+One class: all of its calls share the machines of the core, hence the length.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
 // The processor: a Cortex-M4F by Unicorn, which runs instructions; exceptions are ours
 // (exceptions.hpp).
+//
+// One class: hooks, interrupts and memory share the state of the processor, hence the length.
 #pragma once
 
 #include <unicorn/unicorn.h>

@@ -1,4 +1,6 @@
 // The arms of a fleet: each in its machine, or in its lane beside others.
+//
+// One struct, with a member for each function of arm_fleet.h, hence the length.
 #pragma once
 
 #include "arm_fleet.h"

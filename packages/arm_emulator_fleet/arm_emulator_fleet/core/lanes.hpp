@@ -1,7 +1,7 @@
 // Machines of one scene that take their steps together, each in a lane of its own.
 //
 // Results are those of single machines: a machine whose lane does not reach a sound state repeats
-// the steps alone, as without neighbours.
+// the steps alone, as without neighbours. One class: its members share the lanes, hence the length.
 #pragma once
 
 #include "lane_stepper.hpp"
