@@ -16,7 +16,7 @@ from arm_emulator.base.io.config_files import find_config_folder
 from arm_emulator.ros.messages.message_types import get_message_class
 from arm_emulator.ros.messages.time_stamp import convert_to_nanoseconds, convert_to_stamp
 from arm_emulator.ros.process.ros_domain import own_domain
-from arm_emulator.ros.recording import causal_replay
+from arm_emulator.ros.recording import causal_replay, replay_messages
 from arm_emulator.ros.recording.bag import Bag, BagMessage
 from arm_emulator_msgs.msg import MotorCommand
 
@@ -84,7 +84,8 @@ def test_commands_recorded_long_before_the_first_state_do_not_matter(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A recorder that finds the servo long before the emulator, which is reset afterwards."""
-    monkeypatch.setattr(causal_replay, "AHEAD", 100)
+    for module in (causal_replay, replay_messages):
+        monkeypatch.setattr(module, "AHEAD", 100)
     shift, earlier = 1_000_000_000_000, list[BagMessage]()
     for message in Bag(bag).read_messages(["/motor_commands"]):
         command = deserialize_message(message.data, MotorCommand)

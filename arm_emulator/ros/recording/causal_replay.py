@@ -25,17 +25,25 @@ from std_srvs.srv import Trigger
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.messages.message_types import get_message_class
 from arm_emulator.ros.messages.node_topics import NODES, STATUS, TYPES
-from arm_emulator.ros.messages.time_stamp import convert_to_nanoseconds
 from arm_emulator.ros.node.network_client import NetworkClient
 from arm_emulator.ros.node.node_shell import COMMAND_QOS, DESCRIPTION_QOS
-from arm_emulator.ros.recording.bag import Bag, BagMessage
+from arm_emulator.ros.recording.bag import Bag
+from arm_emulator.ros.recording.replay_messages import (
+    AHEAD,
+    STATES_OF_TAKEN_ORDERS,
+    RecordedMessage,
+    ReplayedOrder,
+    StampedMessages,
+    get_key,
+    get_number_bytes,
+    get_stamp,
+)
 from arm_emulator_msgs.msg import MotionStatus
 
 DISCOVERY = 10.0  # s, wall: to find the node under test
 RESEND = 0.2  # s, wall: a message without an answer is published again
 PATIENCE = 5.0  # s, wall: with one answer
 MISSING_LIMIT = 3  # answers, after which the others are not waited for
-AHEAD = 1000  # messages: how far a message with the right stamp may be behind others
 ACKNOWLEDGE = Duration(seconds=1)
 HEARD_QOS = QoSProfile(depth=1000)
 
@@ -59,36 +67,6 @@ class ReplayResult:
     alike: int = 0
     first_difference: str = ""
     digest: str = ""
-
-
-class _Stamped:
-    """Recorded messages of a topic, found by their keys in the order of the bag."""
-
-    def __init__(self, messages: list[tuple[int, bytes]]) -> None:
-        self._messages, self._next = messages, 0
-        self._places: dict[int, list[int]] = {}
-        for place, (key, _) in enumerate(messages):
-            self._places.setdefault(key, []).append(place)
-
-    @property
-    def is_over(self) -> bool:
-        """Whether messages were taken, up to the last one."""
-        return 0 < len(self._messages) == self._next
-
-    @property
-    def period(self) -> int:
-        """Difference of the last two keys; 0: there are not two."""
-        last = [*self._places][-2:]
-        return last[1] - last[0] if len(last) == 2 else 0
-
-    def take_message(self, key: int) -> bytes | None:
-        """Return the next message with a key, or None if none is near."""
-        places = self._places.get(key, [])
-        k = bisect.bisect_left(places, self._next)
-        if k == len(places) or places[k] - self._next > AHEAD:
-            return None
-        self._next = places[k] + 1
-        return self._messages[places[k]][1]
 
 
 class CausalReplay:
@@ -183,7 +161,7 @@ class CausalReplay:
         topic_info = self._bag.topics.get(self._get_full_name(topic))
         return 0 if topic_info is None else topic_info.count
 
-    def _read_recorded(self, topic: str) -> Iterator[_Message]:
+    def _read_recorded(self, topic: str) -> Iterator[RecordedMessage]:
         kind = get_message_class(TYPES[topic])
         for record in self._bag.read_as_published([self._get_full_name(topic)]):
             try:
@@ -191,9 +169,11 @@ class CausalReplay:
             except RuntimeError as error:
                 rule = "be readable"
                 raise Refusal(self._where, f"messages on {topic}", rule, error) from None
-            yield _Message(message, record)
+            yield RecordedMessage(message, record)
 
-    def _index_by_stamp(self, topic: str, key: Callable[[_Message], int], begin: int) -> _Stamped:
+    def _index_by_stamp(
+        self, topic: str, key: Callable[[RecordedMessage], int], begin: int
+    ) -> StampedMessages:
         """Return the messages of a topic from the first question on, by their keys.
 
         A recorder may find the node that answers seconds before the one that asks.
@@ -207,9 +187,9 @@ class CausalReplay:
         earlier = bisect.bisect_left(messages, begin, key=lambda message: message.published)
         # Some of them, since the clocks of two computers differ.
         messages = messages[max(0, earlier - AHEAD // 2) :]
-        return _Stamped([(key(message), message.data) for message in messages])
+        return StampedMessages([(key(message), message.data) for message in messages])
 
-    def _place_orders(self) -> list[_Order]:
+    def _place_orders(self) -> list[ReplayedOrder]:
         """Return the orders, with the stamp of the joint states after which each was taken.
 
         Raises:
@@ -224,7 +204,7 @@ class CausalReplay:
                 starts.append(request.published)
             before = request.key
 
-        def run_of(message: _Message) -> int:
+        def run_of(message: RecordedMessage) -> int:
             return max(0, bisect.bisect_right(starts, message.published) - 1)
 
         taken: dict[int, deque[tuple[int, int, bool]]] = {k: deque() for k in self._topics.orders}
@@ -236,7 +216,7 @@ class CausalReplay:
         }
         for status in statuses:
             kind, number = status.message.kind, status.message.number
-            if kind in taken and status.message.state in _TAKEN:
+            if kind in taken and status.message.state in STATES_OF_TAKEN_ORDERS:
                 taken[kind].append((run_of(status), status.stamp, (kind, number) in at_first))
         orders = []
         for kind, topic in self._topics.orders.items():
@@ -249,11 +229,13 @@ class CausalReplay:
                 raise Refusal(self._where, topic, rule, actual)
             for order in self._read_recorded(topic):
                 run, after, first = places.popleft() if places else (run_of(order), None, False)
-                orders.append(_Order(topic, order.data, order.published, run, after, first, kind))
+                orders.append(
+                    ReplayedOrder(topic, order.data, order.published, run, after, first, kind)
+                )
         for topic in self._topics.jogs:
             if self._count_message(topic):
                 orders += [
-                    _Order(topic, m.data, m.published, run_of(m), None, False, 0)
+                    ReplayedOrder(topic, m.data, m.published, run_of(m), None, False, 0)
                     for m in self._read_recorded(topic)
                 ]
         return sorted(orders, key=lambda order: order.published)
@@ -271,9 +253,7 @@ class CausalReplay:
                 )
         self._subscribe_to(topics.answered, self._received.append)
         if topics.prompt:
-            self._subscribe_to(
-                topics.prompt, lambda message: self._prompts.add(_get_stamp(message))
-            )
+            self._subscribe_to(topics.prompt, lambda message: self._prompts.add(get_stamp(message)))
         if topics.orders:
             self._subscribe_to(STATUS, self._statuses.append)
         needed = [self._publishers[topic] for topic in (topics.requests, topics.granted) if topic]
@@ -326,7 +306,7 @@ class CausalReplay:
         while self._orders and self._orders[0].first and self._orders[0].run == self._run:
             self._give_order(self._orders.popleft())
 
-    def _ask_node(self, request: _Message, granted: bytes | None, ends: bool) -> Any:
+    def _ask_node(self, request: RecordedMessage, granted: bytes | None, ends: bool) -> Any:
         """Publish a message; return the answer to it, or None after some time.
 
         Args:
@@ -346,7 +326,7 @@ class CausalReplay:
                 self._publishers[topics.granted].publish(granted)
                 granted_once = True
             while self._received:
-                if _get_key(self._received[0]) == key:
+                if get_key(self._received[0]) == key:
                     return True
                 self._received.pop(0)
             return False
@@ -361,19 +341,21 @@ class CausalReplay:
             granted_once, again = False, True
         return None
 
-    def _compare_answer(self, request: _Message, answer: Any, expected: bytes | None) -> None:
+    def _compare_answer(
+        self, request: RecordedMessage, answer: Any, expected: bytes | None
+    ) -> None:
         result, where = self._result, f"t = {request.stamp * 1e-9:g} s"
         if answer is None:
             self._refuse_other_publishers()
             result.missing.append(where)
             return
         result.answered += 1
-        numbers = _get_numbers(answer)
+        numbers = get_number_bytes(answer)
         self._digest.update(request.key.to_bytes(8, "little") + numbers)
         if expected is None:
             return
         kind = get_message_class(TYPES[self._topics.answered])
-        if numbers == _get_numbers(deserialize_message(expected, kind)):
+        if numbers == get_number_bytes(deserialize_message(expected, kind)):
             result.alike += 1
         else:
             result.first_difference = result.first_difference or where
@@ -387,7 +369,7 @@ class CausalReplay:
                 return
             self._give_order(self._orders.popleft())
 
-    def _give_order(self, order: _Order) -> None:
+    def _give_order(self, order: ReplayedOrder) -> None:
         """Publish an order, and wait until the node has taken it."""
         publisher = self._publishers[order.topic]
         self._node.spin_until(lambda: publisher.get_subscription_count() > 0, PATIENCE)
@@ -399,60 +381,8 @@ class CausalReplay:
 
         def is_taken() -> bool:
             return any(
-                status.kind == order.kind and status.state in _TAKEN for status in self._statuses
+                status.kind == order.kind and status.state in STATES_OF_TAKEN_ORDERS
+                for status in self._statuses
             )
 
         self._node.spin_until(is_taken, PATIENCE)
-
-
-@dataclass(frozen=True)
-class _Order:
-    topic: str
-    data: bytes
-    published: int  # wall time [ns]
-    run: int  # number of its run
-    after: int | None  # stamp of the joint states after which it was taken [ns]; None: not known
-    first: bool  # it was taken before any
-    kind: int  # of its status; 0: it has none
-
-
-class _Message:
-    """A recorded message, and its bytes.
-
-    Attributes:
-        message: the message.
-        data: its bytes.
-        published: wall time [ns].
-    """
-
-    def __init__(self, message: Any, record: BagMessage) -> None:
-        self.message, self.data, self.published = message, record.data, record.published
-
-    @property
-    def stamp(self) -> int:
-        """Logical time of its header [ns]."""
-        return _get_stamp(self.message)
-
-    @property
-    def key(self) -> int:
-        """The number that question and answer have in common."""
-        return _get_key(self.message)
-
-
-_TAKEN = (MotionStatus.STATE_ACCEPTED, MotionStatus.STATE_REFUSED)
-_JOINT_NUMBERS = ("position", "velocity", "effort")
-
-
-def _get_stamp(message: Any) -> int:
-    return convert_to_nanoseconds(message.header.stamp)
-
-
-def _get_key(message: Any) -> int:
-    """Return what question and answer have in common: the tick, or else the stamp."""
-    return int(message.tick) if hasattr(message, "tick") else _get_stamp(message)
-
-
-def _get_numbers(message: Any) -> bytes:
-    """Return the bits of an answer's numbers."""
-    names = ("command", "inputs") if hasattr(message, "command") else _JOINT_NUMBERS
-    return b"".join(getattr(message, name).tobytes() for name in names)

@@ -12,7 +12,7 @@ from test_campaign_lanes import VARIED, campaign_of
 from arm_emulator import Refusal
 from arm_emulator.machine.plant.external_wrench import move_to_moving_link
 from arm_emulator.machine.session.change import Change, NumberChange, WrenchChange
-from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.sampling.philox import draw_uniform
 from arm_emulator_campaign.simulation.batch_simulator import BatchSimulator
 from arm_emulator_campaign.simulation.bound_cases import bind_cases

@@ -9,7 +9,8 @@ from draws import with_slow
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.session.tool_chain import ToolChain
-from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
+from arm_emulator_campaign.definition.campaign import Campaign
+from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.simulation.case import Case, draw_case
 from arm_emulator_campaign.simulation.simulator import Simulator
 

@@ -8,7 +8,7 @@ from draws import FULL, with_slow
 from numpy.typing import NDArray
 from scipy import stats
 
-from arm_emulator_campaign.definition.campaign_file import Stop
+from arm_emulator_campaign.definition.campaign import Stop
 from arm_emulator_campaign.execution.executor import FIRST_STAGE, GROWTH
 from arm_emulator_campaign.results.summary import QUANTILES, Quantile
 from arm_emulator_campaign.sampling.intervals import (

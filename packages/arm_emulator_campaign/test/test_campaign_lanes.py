@@ -10,7 +10,8 @@ from test_campaign import MOVES, TABLE, changed, written
 
 from arm_emulator import ExternalWrench, Refusal, load_gains
 from arm_emulator.machine.session.change import Change, NumberChange, PowerChange, WrenchChange
-from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
+from arm_emulator_campaign.definition.campaign import Campaign
+from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.simulation.batch_simulator import WIDTH, BatchSimulator, make_simulator
 from arm_emulator_campaign.simulation.case import Cases, draw_cases
 from arm_emulator_campaign.simulation.outcome import Outcomes

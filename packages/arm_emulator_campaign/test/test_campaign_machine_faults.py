@@ -8,7 +8,8 @@ import pytest
 import yaml
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
+from arm_emulator_campaign.definition.campaign import Campaign
+from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.simulation.case import draw_case
 from arm_emulator_campaign.simulation.simulator import Simulator
 

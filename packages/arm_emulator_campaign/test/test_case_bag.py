@@ -13,7 +13,8 @@ from arm_emulator.bags.run_bag import RunBag
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.new_bag import check_new_bag
 from arm_emulator.ros.recording.bag import Bag
-from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
+from arm_emulator_campaign.definition.campaign import Campaign
+from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.definition.scenario import count_ticks
 from arm_emulator_campaign.simulation.case import draw_case
 from arm_emulator_campaign.simulation.case_bag import write_case_bag

@@ -16,7 +16,8 @@ from test_requirements import NAMES, PERIOD, draw_formula
 from arm_emulator import load_scene
 from arm_emulator.base.expression.formula import Signal, parse_formula
 from arm_emulator.toolchain.library_cache import CACHE_VARIABLE
-from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
+from arm_emulator_campaign.definition.campaign import Campaign
+from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.judging.card_kernels import compile_campaign_for_card
 from arm_emulator_campaign.judging.device_program import DeviceProgram, build_judges_unit
 from arm_emulator_campaign.judging.device_sampler import KERNELS

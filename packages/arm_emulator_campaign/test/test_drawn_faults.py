@@ -11,7 +11,8 @@ import yaml
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant.external_wrench import ExternalWrench
 from arm_emulator.machine.session.change import Change, NumberChange, WrenchChange
-from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
+from arm_emulator_campaign.definition.campaign import Campaign
+from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.definition.fault import Fault, list_faults, schedule_changes
 from arm_emulator_campaign.definition.varying_numbers import list_leaves
 

@@ -16,7 +16,8 @@ from draws import FULL, with_slow
 from arm_emulator import Breakpoint, Condition, Plant, Refusal, Session, load_scene
 from arm_emulator.base.expression.formula import bind_signals, parse_formula
 from arm_emulator.machine.session.tool_chain import TOOL
-from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
+from arm_emulator_campaign.definition.campaign import Campaign
+from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.results.parts import find_formula_unit
 from arm_emulator_campaign.simulation.batch_simulator import BatchSimulator
 from arm_emulator_campaign.simulation.case import draw_case

@@ -9,7 +9,7 @@ import yaml
 from scipy import stats
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator_campaign.commands.campaign import find_case
+from arm_emulator_campaign.commands.cases import find_case
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.execution.splitter import Splitter, read_failures
 from arm_emulator_campaign.execution.worker_pool import WorkerPool

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.execution.worker import Done, get_simulator, simulate_chunk
 from arm_emulator_campaign.execution.worker_pool import (
     CampaignProgress,

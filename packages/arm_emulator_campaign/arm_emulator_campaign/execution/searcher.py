@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Array, Refusal, write_atomically
-from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.execution.executor import count_failures
 from arm_emulator_campaign.execution.worker import Done, simulate_chunk
 from arm_emulator_campaign.execution.worker_pool import (

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from arm_emulator.extension.base import write_atomically
-from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.execution.searcher import write_findings
 from arm_emulator_campaign.execution.worker import Done, load_same_campaign
 from arm_emulator_campaign.execution.worker_pool import (

@@ -17,7 +17,8 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from arm_emulator.extension.base import Array, Refusal
-from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
+from arm_emulator_campaign.definition.campaign import Campaign
+from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.results.parts import write_part
 from arm_emulator_campaign.simulation.batch_simulator import BatchSimulator, make_simulator
 from arm_emulator_campaign.simulation.case import Cases, draw_cases, place_cases

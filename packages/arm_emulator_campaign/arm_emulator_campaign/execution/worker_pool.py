@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, Self, TypeVar
 
 from arm_emulator.extension.base import Refusal, require_package
-from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.execution.worker import Done, begin_worker, call_on
 
 POLL_PERIOD = 2.0  # s between questions for the workers of a cluster

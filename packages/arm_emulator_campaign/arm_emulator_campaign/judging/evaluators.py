@@ -28,7 +28,7 @@ from arm_emulator.extension.base import (
     parse_formula,
 )
 from arm_emulator.extension.machine import is_at_one_instant
-from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.definition.scenario import count_ticks
 from arm_emulator_campaign.judging.program import Program, Rows, Targets, judges
 from arm_emulator_campaign.judging.requirement import Robustness

@@ -35,7 +35,7 @@ from arm_emulator.extension.base import (
     require_package,
     write_atomically,
 )
-from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.judging.evaluators import Measure
 from arm_emulator_campaign.judging.signals import list_signal_units
 from arm_emulator_campaign.simulation.outcome import Outcomes

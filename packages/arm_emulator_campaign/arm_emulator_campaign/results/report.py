@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.extension.base import escape_html, write_atomically
-from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.results import pictures
 from arm_emulator_campaign.results.parts import (
     DIVERGED,

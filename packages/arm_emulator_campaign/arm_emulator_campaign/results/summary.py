@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.results.parts import FAILED, INDEX, MEASURE, ROBUSTNESS
 from arm_emulator_campaign.sampling.intervals import bound_quantile
 

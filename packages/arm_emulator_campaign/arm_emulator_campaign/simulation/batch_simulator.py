@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Refusal
 from arm_emulator.extension.runs import ServoConfig
-from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.judging.evaluators import Evaluators, count_most_samples
 from arm_emulator_campaign.judging.program import BLOCK, Targets
 from arm_emulator_campaign.judging.signals import FleetSampler

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.extension.base import Array
 from arm_emulator.extension.runs import ServoConfig
-from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.definition.drawn_scenarios import draw_scenarios
 from arm_emulator_campaign.definition.scenario import count_all_ticks
 from arm_emulator_campaign.judging.program import Targets

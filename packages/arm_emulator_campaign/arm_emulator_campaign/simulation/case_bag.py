@@ -9,7 +9,8 @@ import yaml
 
 from arm_emulator.extension.base import read_yaml
 from arm_emulator.extension.machine import Change, Diverged, override_keys
-from arm_emulator_campaign.definition.campaign_file import Campaign, find_files
+from arm_emulator_campaign.definition.campaign import Campaign
+from arm_emulator_campaign.definition.campaign_file import find_files
 from arm_emulator_campaign.simulation.case import Case
 from arm_emulator_campaign.simulation.shrinking import make_path
 from arm_emulator_campaign.simulation.simulator import Simulator

@@ -11,7 +11,7 @@ import numpy as np
 from arm_emulator.extension.base import Formula, Refusal, Window, bind_signals, parse_formula
 from arm_emulator.extension.machine import LARGEST_SEED, Change, Diverged, is_at_one_instant
 from arm_emulator.extension.runs import OfflineRun
-from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.definition.scenario import count_ticks
 from arm_emulator_campaign.judging.program import Program, Rows
 from arm_emulator_campaign.judging.signals import Sampler, list_signal_units

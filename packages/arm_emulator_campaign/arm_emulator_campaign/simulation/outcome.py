@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Array
-from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.simulation.case import Case
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 
 from arm_emulator.extension.base import Refusal
-from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.definition.scenario import count_ticks
 from arm_emulator_campaign.simulation.case import Case
 from arm_emulator_campaign.simulation.simulator import Simulator

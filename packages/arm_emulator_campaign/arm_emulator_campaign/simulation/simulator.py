@@ -19,7 +19,7 @@ from arm_emulator.extension.runs import (
     TableRun,
     TargetTable,
 )
-from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.definition.fault import schedule_changes
 from arm_emulator_campaign.definition.scenario import Move, Scenario, count_ticks
 from arm_emulator_campaign.judging.evaluators import Evaluators

@@ -9,7 +9,7 @@ from test_campaign_device import campaign_of
 from test_campaign_lanes import VARIED, cases_of, rows_of
 from test_device_program import load
 
-from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.simulation.batch_simulator import make_simulator
 from arm_emulator_campaign.simulation.outcome import Outcomes
 
