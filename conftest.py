@@ -36,6 +36,7 @@ pytest.register_assert_rewrite(
     "devices",
     "doors",
     "faults_at_doors",
+    "fleet_pairs",
     "fuzz",
     "hard_cases",
     "in_process",

@@ -555,15 +555,15 @@ MUTANTS = (
         "../packages/arm_emulator_fleet/test/test_fleet_follow.py::test_rows_that_state_their_periods_hold_from_these_on",
     ),
     Mutant(
-        "packages/arm_emulator_fleet/arm_emulator_fleet/core/advance_smoothly.hpp",
+        "packages/arm_emulator_fleet/arm_emulator_fleet/core/advance_to_event.hpp",
         "    state.store();\n",
         "",
         "../packages/arm_emulator_fleet/test/test_event_queue.py",
     ),
     Mutant(
         "packages/arm_emulator_fleet/arm_emulator_fleet/core/fleet.hpp",
-        "bool stays = in_lanes && is_abreast(k);",
-        "bool stays = in_lanes;",
+        "bool stays_in_lane = has_signals_in_lanes && is_in_lane(k);",
+        "bool stays_in_lane = has_signals_in_lanes;",
         "../packages/arm_emulator_fleet/test/test_fleet_step.py::test_an_arm_that_has_diverged_measures_what_a_plant_does",
     ),
     Mutant(

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import some
+from fleet_pairs import Pair, device, find_servo, located
 from test_fleet_follow import ROWS
-from test_fleet_on_device import Pair, device, find_servo, located
 from test_fleet_step import LOCATED
 
 from arm_emulator import Refusal, Scene, load_scene

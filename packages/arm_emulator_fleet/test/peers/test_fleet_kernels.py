@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from draws import some
-from test_fleet_on_device import Pair
+from fleet_pairs import Pair
 from test_fleet_step import LOCATED
 from test_gpu_compiler import needs_clang
 
