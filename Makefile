@@ -175,11 +175,14 @@ install/.core: package.xml setup.py setup.cfg colcon.pkg $(SHARED) install/.mess
 	@echo "$$COMMAND" > .venv/bin/arm_emulator && chmod +x .venv/bin/arm_emulator
 	@touch $@
 
+# Holds the files of commands, each of which is installed by its name.
+COMMANDS := $(wildcard packages/*/*/commands/*.py)
+NEW_COMMANDS = $(filter-out $(shell cat install/.packages 2>/dev/null),$(COMMANDS))
 install/.packages: $(wildcard packages/*.py packages/*/setup.py packages/*/package.xml) $(call unlinked,$(BESIDE)) \
-                   $(if $(COPIED),FORCE) | install/.core
+                   $(if $(COPIED)$(NEW_COMMANDS),FORCE) | install/.core
 	@echo 'setup: packages beside the core ...'
 	@$(call link,$(BESIDE))
-	@touch $@
+	@echo '$(COMMANDS)' > $@
 
 # -------------------------------------------------------------------------------------- commands
 

@@ -9,11 +9,4 @@ from package_setup import set_up
 set_up(
     "arm_emulator_analysis",
     "Scheme and step for an error, frequency responses, moments of recorded runs.",
-    entry_points={
-        "arm_emulator.commands": [
-            "advise = arm_emulator_analysis.commands.advise",
-            "bode = arm_emulator_analysis.commands.bode",
-            "explain = arm_emulator_analysis.commands.explain",
-        ],
-    },
 )

@@ -1,36 +1,17 @@
 """Install the package beside arm_emulator, which finds its commands by their entry points."""
 
-import re
+import sys
 from pathlib import Path
 
-from setuptools import find_packages, setup
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from package_setup import set_up
 
-NAME = "arm_emulator_campaign"
-CORE = Path(__file__).resolve().parents[2] / "arm_emulator"
-VERSION = re.search(r'VERSION = "(.*)"', (CORE / "version.py").read_text())
-
-setup(
-    name=NAME,
-    version=VERSION[1],
-    description="Many runs of one scenario: what varies, faults, requirements, search.",
-    license="Apache-2.0",
-    maintainer="arm_emulator developers",
-    maintainer_email="arm_emulator@example.org",
-    packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["**/*.c", "**/*.h", "**/*.cpp", "**/*.hpp", "py.typed"]},
-    data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (f"share/{NAME}", ["package.xml"]),
-    ],
-    python_requires=">=3.11",
-    install_requires=["arm_emulator", "arm_emulator_fleet"],
+set_up(
+    "arm_emulator_campaign",
+    "Many runs of one scenario: what varies, faults, requirements, search.",
+    needs=("arm_emulator_fleet",),
     extras_require={"dask": ["distributed"], "search": ["cma", "optuna", "SALib"]},
-    zip_safe=False,
     entry_points={
-        "arm_emulator.commands": [
-            "campaign = arm_emulator_campaign.commands.campaign",
-            "faults = arm_emulator_campaign.commands.faults",
-        ],
         "arm_emulator.card_compilers": [
             "campaign = arm_emulator_campaign.judging.card_kernels:compile_campaign_for_card",
         ],

@@ -9,11 +9,4 @@ from package_setup import set_up
 set_up(
     "arm_emulator_export",
     "Files of a scene for ros2_control, MoveIt and Foxglove.",
-    entry_points={
-        "arm_emulator.commands": [
-            "foxglove = arm_emulator_export.commands.foxglove",
-            "moveit-config = arm_emulator_export.commands.moveit_config",
-            "ros2-control = arm_emulator_export.commands.ros2_control",
-        ],
-    },
 )

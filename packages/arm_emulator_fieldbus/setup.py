@@ -11,11 +11,6 @@ set_up(
     "Drives of CiA 402 on EtherCAT and CANopen, and a Modbus converter.",
     needs=("python-can",),
     entry_points={
-        "arm_emulator.commands": [
-            "ethercat = arm_emulator_fieldbus.commands.ethercat",
-            "canopen = arm_emulator_fieldbus.commands.canopen",
-            "modbus = arm_emulator_fieldbus.commands.modbus",
-        ],
         "arm_emulator.units": [
             "drives = arm_emulator_fieldbus.drives_unit:drives_unit",
             "ethercat = arm_emulator_fieldbus.ethercat:ethercat_unit",

@@ -10,9 +10,4 @@ set_up(
     "arm_emulator_firmware",
     "Unmodified firmware of a Cortex-M4F in the loop with a machine.",
     needs=("pyelftools", "unicorn"),
-    entry_points={
-        "arm_emulator.commands": [
-            "firmware = arm_emulator_firmware.commands.firmware",
-        ],
-    },
 )

@@ -9,9 +9,4 @@ from package_setup import set_up
 set_up(
     "arm_emulator_fmu",
     "A scene with its drives as a unit of FMI 2 or 3.",
-    entry_points={
-        "arm_emulator.commands": [
-            "fmu = arm_emulator_fmu.commands.fmu",
-        ],
-    },
 )

@@ -10,11 +10,4 @@ set_up(
     "arm_emulator_identification",
     "A scene's numbers from records of its motion; validation by real machines.",
     needs=("arm_emulator_fleet",),
-    entry_points={
-        "arm_emulator.commands": [
-            "accuracy = arm_emulator_identification.commands.accuracy",
-            "identify = arm_emulator_identification.commands.identify",
-            "validate = arm_emulator_identification.commands.validate",
-        ],
-    },
 )

@@ -11,9 +11,6 @@ set_up(
     "A page in the browser: a run, its moments, the machine and its controls.",
     needs=("trimesh", "viser", "websockets"),
     entry_points={
-        "arm_emulator.commands": [
-            "look = arm_emulator_page.commands.look",
-        ],
         "arm_emulator.page": [
             "live = arm_emulator_page.live_process",
             "run = arm_emulator_page.served_run:serve_run",

@@ -9,7 +9,6 @@ import yaml
 from scipy import stats
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator_campaign.commands.cases import find_case
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.execution.splitter import Splitter, read_failures
 from arm_emulator_campaign.execution.worker_pool import WorkerPool
@@ -22,6 +21,7 @@ from arm_emulator_campaign.simulation.case import Cases
 from arm_emulator_campaign.simulation.forking import ForkingRun, make_forked_case
 from arm_emulator_campaign.simulation.shrinking import shrink_run, write_shrunk
 from arm_emulator_campaign.simulation.simulator import Simulator
+from arm_emulator_campaign.single_cases import find_case
 
 DRIFTS = {
     "scene": "three_axis",

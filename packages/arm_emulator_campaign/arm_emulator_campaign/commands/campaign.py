@@ -29,7 +29,6 @@ from arm_emulator.extension.commands import (
     output,
 )
 from arm_emulator.extension.compiler import ARITHMETIC
-from arm_emulator_campaign.commands.cases import find_case, print_shrunk, replay_run
 from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.execution.executor import measure_run, run_campaign
@@ -51,6 +50,7 @@ from arm_emulator_campaign.results.parts import (
 from arm_emulator_campaign.results.report import write_report
 from arm_emulator_campaign.results.summary import Summary, compute_summary
 from arm_emulator_campaign.search.method import Finding
+from arm_emulator_campaign.single_cases import find_case, print_shrunk, replay_run
 
 PATIENCE = 10.0  # s that a Dask scheduler may take to answer
 BYTES_PER_NUMBER = 9.0  # of a part, measured: doubles of random bits hardly shrink
