@@ -46,12 +46,11 @@ def test_a_command_without_its_package_is_refused(
 
 
 def test_the_core_knows_which_package_has_which_command() -> None:
-    commands_of = {}
-    for setup in (ROOT / "packages").glob("arm_emulator_*/setup.py"):
-        commands = re.findall(r'"([a-z0-9-]+) = \w+\.commands\.', setup.read_text())
-        if commands:
-            commands_of[setup.parent.name.removeprefix("arm_emulator_")] = tuple(sorted(commands))
-    assert commands_of == packages.COMMANDS_OF
+    commands_of: dict[str, list[str]] = {}
+    for file in sorted((ROOT / "packages").glob("arm_emulator_*/*/commands/[!_]*.py")):
+        package = file.parts[-3].removeprefix("arm_emulator_")
+        commands_of.setdefault(package, []).append(file.stem.replace("_", "-"))
+    assert {name: tuple(of) for name, of in commands_of.items()} == packages.COMMANDS_OF
 
 
 def test_the_package_of_the_page_adds_its_command(tmp_path: Path) -> None:
