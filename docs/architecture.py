@@ -194,14 +194,15 @@ TICK: tuple[Band, ...] = (
         "arm.h: a scene's library",
         (
             Station("checks the command", f"{_BOUNDARY}/boundary.hpp", "arm_exchange"),
-            Station("power, brakes, delays", f"{_BOUNDARY}/arm_machine.hpp", "take_commands"),
+            Station("power, brakes, delays", f"{_BOUNDARY}/arm_machine.hpp", "apply_commands"),
             Station("limits to the supply and the motor",
                     "arm_emulator/core/mechanics/command_bounds.hpp", "bound_commands"),
         ),
         (
-            Station("sensors measure", "arm_emulator/core/mechanics/sensors.hpp", "look"),
-            Station("the encoder counts", "arm_emulator/core/parts/measuring/encoder.hpp", "disc"),
-            Station("fills arm_measurement", f"{_BOUNDARY}/arm_machine.hpp", "measure_here"),
+            Station("sensors measure", "arm_emulator/core/mechanics/sensors.hpp", "measure"),
+            Station("the encoder counts",
+                    "arm_emulator/core/parts/measuring/encoder.hpp", "count_on_disc"),
+            Station("fills arm_measurement", f"{_BOUNDARY}/arm_machine.hpp", "measure_machine"),
         ),
     ),
     Band(
@@ -212,26 +213,35 @@ TICK: tuple[Band, ...] = (
             Station("one step after the other",
                     "arm_emulator/core/machine/command_schedule.hpp", "advance_steps"),
             Station("one step: motors, then links", f"{_SCHEMES}/two_threads.hpp", "step"),
-            Station("motors by eq. (3)", f"{_SCHEMES}/paper.hpp", "drives"),
+            Station("motors by eq. (3)", f"{_SCHEMES}/paper.hpp", "step_drives"),
             Station("volts drive the winding, eq. (1)",
                     "arm_emulator/core/parts/motors/dc_motor.hpp", "rates"),
         ),
         (
-            Station("waits for M and nle", f"{_SCHEMES}/two_threads.hpp", "take"),
-            Station("links' accelerations by eq. (4)", f"{_SCHEMES}/paper.hpp", "accelerations"),
+            Station("waits for M and nle", f"{_SCHEMES}/two_threads.hpp", "receive_links"),
+            Station("links' accelerations by eq. (4)", f"{_SCHEMES}/paper.hpp",
+                    "compute_accelerations"),
             Station("q and v of the next sample", f"{_SCHEMES}/paper.hpp", "integrate"),
             Station("hands the sample to the other thread",
-                    f"{_SCHEMES}/two_threads.hpp", "give"),
+                    f"{_SCHEMES}/two_threads.hpp", "send_state"),
         ),
     ),
 )  # fmt: skip
 # Beside the motor thread; with `threads: 1` one_thread.hpp calls `dynamics` itself.
 NEWTON_EULER = Band(
     "Newton-Euler thread, with threads: 2",
-    (Station("takes each sample that is handed over", f"{_SCHEMES}/two_threads.hpp", "work"),),
     (
         Station(
-            "M and nle of the links", "arm_emulator/core/mechanics/links/link_tree.hpp", "dynamics"
+            "takes each sample that is handed over",
+            f"{_SCHEMES}/two_threads.hpp",
+            "evaluate_samples",
+        ),
+    ),
+    (
+        Station(
+            "M and nle of the links",
+            "arm_emulator/core/mechanics/links/link_tree.hpp",
+            "compute_dynamics",
         ),
     ),
 )
@@ -303,7 +313,7 @@ def tick_picture() -> str:
     across = (  # from the right column to the left, or the other way
         (by_name["servo_measure"], by_name["servo_command"]),
         (down[-1], up[0]),
-        (by_name["give"], takes),
+        (by_name["send_state"], takes),
         (takes, links),
     )
     for start, end in across:

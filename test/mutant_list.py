@@ -205,8 +205,8 @@ MUTANTS = (
     ),
     Mutant(
         f"{MECHANICS}/drive.hpp",
-        "dry += rotor.law.holding(on_link<Rotor>(x, gear.Ng * T, turn(way))) / magnitude(gear.Ng);",
-        "dry += rotor.law.holding(on_link<Rotor>(x, T, turn(way))) / magnitude(gear.Ng);",
+        "rotor.law.holding(make_link_torques<Rotor>(x, gear.Ng * T, rotor_direction(way)))",
+        "rotor.law.holding(make_link_torques<Rotor>(x, T, rotor_direction(way)))",
         "test_load_friction.py test_rotor_friction.py",
     ),
     Mutant(
@@ -223,7 +223,7 @@ MUTANTS = (
     ),
     Mutant(
         f"{CORE_PARTS}/frictions/load_friction.hpp",
-        "select(on.lead > 0.0, q * on.of_gear",
+        "select(on.power_direction > 0.0, q * on.of_gear",
         "select(on.lead < 0.0, q * on.of_gear",
         "test_directed_load_friction.py",
     ),
@@ -235,8 +235,8 @@ MUTANTS = (
     ),
     Mutant(
         f"{MECHANICS}/coulomb.hpp",
-        "return select(sign < 0.0, of_.Ds[1][j], of_.Ds[0][j]);",
-        "return of_.Ds[0][j];",
+        "return select(sign < 0.0, torques_.Ds[1][j], torques_.Ds[0][j]);",
+        "return torques_.Ds[0][j];",
         "test_directed_load_friction.py",
     ),
     Mutant(
@@ -271,7 +271,7 @@ MUTANTS = (
     ),
     Mutant(
         f"{MECHANICS}/sensors.hpp",
-        "    if (anew) drifted_ = {};\n",
+        "    if (resets) drifted_ = {};\n",
         "",
         "test_sensors.py",
     ),
@@ -289,7 +289,7 @@ MUTANTS = (
     ),
     Mutant(
         f"{CORE_PARTS}/gears/hysteresis.hpp",
-        "anchors[i] = w - bend(i, w, anchors);",
+        "anchors[i] = w - deflection(i, w, anchors);",
         "anchors[i] = w;",
         "test_hysteresis.py",
     ),
@@ -331,8 +331,8 @@ MUTANTS = (
     ),
     Mutant(
         "arm_emulator/core/machine/machine.hpp",
-        "value_of(S::brake_delays[k][way] / dt) + 0.5)",
-        "value_of(S::brake_delays[k][way] / dt))",
+        "value_of(S::brake_delays[k][change] / dt) + 0.5)",
+        "value_of(S::brake_delays[k][change] / dt))",
         "test_brake.py",
     ),
     Mutant(
@@ -366,25 +366,25 @@ MUTANTS = (
         "test_pmsm.py",
     ),
     Mutant(
-        f"{SCHEMES}/kept_modes.hpp",
-        "if (stay_ && (is_sure_under(u) || are_called_for(x, u))) return true;",
-        "if (stay_) return true;",
+        f"{SCHEMES}/stored_modes.hpp",
+        "if (is_current_ && (is_certain_under(u) || are_modes_unchanged(x, u))) return true;",
+        "if (is_current_) return true;",
         "test_kept_modes.py",
     ),
     Mutant(
-        f"{SCHEMES}/kept_modes.hpp",
+        f"{SCHEMES}/stored_modes.hpp",
         "sure &= u[j] == u_[j];",
         "sure &= true;",
         "test_kept_modes.py",
     ),
     Mutant(
         f"{SCHEMES}/one_thread.hpp",
-        "    memo_.forget();\n    stepper_.restore(memory);",
+        "    memo_.invalidate();\n    stepper_.restore(memory);",
         "    stepper_.restore(memory);",
         "test_kept_modes.py test_external_wrench.py",
     ),
     Mutant(
-        f"{SCHEMES}/kept_modes.hpp",
+        f"{SCHEMES}/stored_modes.hpp",
         "return !(drive.margin(at, now) < 0.0);",
         "return true;",
         "test_kept_modes.py",

@@ -43,7 +43,8 @@ inline constexpr CommandModes kModes;
 
 // Whether drive j has a sensor of a field, of the readings that of a row.
 template <class S>
-bool senses([[maybe_unused]] int j, [[maybe_unused]] Field field, [[maybe_unused]] int row = 0) {
+bool has_sensor([[maybe_unused]] int j, [[maybe_unused]] Field field,
+                [[maybe_unused]] int row = 0) {
   bool is_present = false;
   if constexpr (Sensors<S>::present)
     std::apply(
@@ -70,7 +71,7 @@ int describe_reading(int reading, int joint, arm_reading* out) {
     const int drive = drive_of<S>(joint), sensor = reading - count_deflections<S>();
     const bool slides = kind_of<S>(drive) != JointKind::revolute;
     out->present = sensor < 0 ? deflection_of<S>(reading, joint) >= 0
-                              : senses<S>(drive, Field::reading, sensor);
+                              : has_sensor<S>(drive, Field::reading, sensor);
     out->name = source.name, out->unit = slides ? source.unit_of_slides : source.unit;
   }
   return ARM_OK;
@@ -94,7 +95,7 @@ struct arm_machine {
     number(machine.steps_per_period);
     full.for_each_number(number);
     machine.sensors.for_each_number(number);
-    machine.lines.for_each_number(number);
+    machine.io_links.for_each_number(number);
     number(machine.answered);
     for (double& value : machine.applied) number(value);
     number(machine.powered);
@@ -117,7 +118,7 @@ struct arm_machine {
     return ARM_REFUSED;
   }
   // ARM_OK unless a required pointer is null.
-  int check_there(const void* pointer, const char* quantity) const {
+  int check_pointer(const void* pointer, const char* quantity) const {
     return pointer ? ARM_OK : refuse(-1, quantity, "be there, no null pointer", 0.0);
   }
   int check_count(std::int64_t count, const char* quantity) const {
@@ -125,7 +126,7 @@ struct arm_machine {
   }
   // ARM_OK if all numbers of a row of joints are finite.
   int check_finite(const double* row, const char* quantity) const {
-    if (check_there(row, quantity)) return ARM_REFUSED;
+    if (check_pointer(row, quantity)) return ARM_REFUSED;
     for (int j = 0; j < J; ++j)
       if (!arm::is_finite(row[j])) return refuse(j, quantity, "be finite", row[j]);
     return ARM_OK;
@@ -133,14 +134,14 @@ struct arm_machine {
   // A struct may be as short as it was in version 1 of arm.h.
   template <class Struct>
   int check_size(const Struct* record, std::size_t smallest = sizeof(Struct)) const {
-    if (check_there(record, "struct")) return ARM_REFUSED;
+    if (check_pointer(record, "struct")) return ARM_REFUSED;
     if (record->size >= smallest) return ARM_OK;
     return refuse(-1, "size", "be that of the struct in arm.h", record->size);
   }
 
   int check_measurement(const arm_measurement* out) const {
     if (check_size(out, offsetof(arm_measurement, sensors))) return ARM_REFUSED;
-    return check_there(out->joint, "joint of the measurement");
+    return check_pointer(out->joint, "joint of the measurement");
   }
 
   void set_external_wrench(int link, const arm::GivenWrench& wrench) {
@@ -149,10 +150,10 @@ struct arm_machine {
       machine.set_external_wrench(link, arm::in_core_axes<Scene>(link, wrench));
     }
   }
-  void forget_external_wrenches() {
+  void clear_external_wrenches() {
     for (int link = 0; link < Scene::L; ++link) set_external_wrench(link, {});
   }
-  int refuse_wrench(int link) const {
+  int check_wrench_link(int link) const {
     if (!Scene::external_wrench) return refuse(-1, "external_wrench", "be true in the scene", 0.0);
     if (link < 0 || link >= Scene::L) return refuse(-1, "link", "be one that moves", link);
     return ARM_OK;
@@ -161,7 +162,7 @@ struct arm_machine {
   std::int64_t tick() const { return machine.steps() / steps_per_period; }
   int result() const { return machine.faulty_joint() < 0 ? ARM_OK : ARM_DIVERGED; }
 
-  static std::int64_t now_ns() {
+  static std::int64_t read_clock() {
 #ifdef __CUDA__
     return 0;  // machines on a card measure no time
 #else
@@ -172,26 +173,27 @@ struct arm_machine {
   }
 
   // Whether something measures at every tick.
-  static constexpr bool looks = arm::Sensors<Scene>::present || arm::IoLinks<Scene>::present;
+  static constexpr bool has_sampled_sensors =
+      arm::Sensors<Scene>::present || arm::IoLinks<Scene>::present;
 
   // Take `steps` steps by calls of advance(count); sensors measure at every tick.
   template <class Advance>
-  void go(std::int64_t steps, Advance&& advance) {
-    const std::int64_t began = measures_time ? now_ns() : 0;
-    take_steps(steps, advance);
-    if (measures_time) spent_ns += now_ns() - began;
+  void advance_with_sensors(std::int64_t steps, Advance&& advance) {
+    const std::int64_t start_ns = measures_time ? read_clock() : 0;
+    advance_between_ticks(steps, advance);
+    if (measures_time) spent_ns += read_clock() - start_ns;
   }
   template <class Advance>
-  void take_steps(std::int64_t steps, Advance& advance) {
-    if constexpr (!looks) {
+  void advance_between_ticks(std::int64_t steps, Advance& advance) {
+    if constexpr (!has_sampled_sensors) {
       advance(steps);
     } else {
       while (steps > 0 && machine.faulty_joint() < 0) {
         const std::int64_t due = steps_per_period - machine.steps() % steps_per_period;
-        const std::int64_t some = steps < due ? steps : due;
-        advance(some);
-        look();
-        steps -= some;
+        const std::int64_t chunk = steps < due ? steps : due;
+        advance(chunk);
+        sample_sensors();
+        steps -= chunk;
       }
     }
   }
@@ -206,36 +208,38 @@ struct arm_machine {
   }
   using Drives = arm::DriveRow<Scene, double>;
   // Commands applied to the motors: 0 without power.
-  Drives with_power(const double* command) const {
+  Drives apply_power(const double* command) const {
     static constexpr double nothing[J] = {};
     return Drives(powered ? command : nothing);
   }
   // Follow rows of commands; q after each goes to `q`.
-  void follow(const double* command, std::int64_t rows, std::int64_t steps, double* q) {
-    if (!looks && powered && J == N) {
-      machine.follow(command, rows, steps, q);
+  void follow_commands(const double* command, std::int64_t rows, std::int64_t steps, double* q) {
+    if (!has_sampled_sensors && powered && J == N) {
+      machine.follow_commands(command, rows, steps, q);
     } else {
       for (; rows > 0; --rows, command += J, q += J) {
-        const Drives applied = with_power(command);
-        go(steps, [&](std::int64_t some) { machine.advance(applied.of, some); });
+        const Drives applied = apply_power(command);
+        advance_with_sensors(steps,
+                             [&](std::int64_t chunk) { machine.advance(applied.of, chunk); });
         to_joints(machine.state().q, q);
       }
     }
   }
   // To be called after steps, at the next tick at the latest. A diverged machine is back at an
   // earlier state.
-  void look() {
-    if (machine.faulty_joint() >= 0) return begin_to_look(false);
-    sensors.look(machine, tick());
+  void sample_sensors() {
+    if (machine.faulty_joint() >= 0) return restart_sensors(false);
+    sensors.measure(machine, tick());
     if constexpr (IoLinks::present)
-      if (tick() != lines.newest())
-        measure_all([&](arm_measurement& all) { lines.measure(machine, tick(), all); });
+      if (tick() != io_links.newest_tick())
+        measure_into(
+            [&](arm_measurement& all) { io_links.transmit_measurement(machine, tick(), all); });
   }
-  // Measure as if the machine had always rested where it is; `anew`: with nothing from before.
-  void begin_to_look(bool anew) {
-    sensors.begin(machine, tick(), anew);
+  // Measure as if the machine had always rested where it is; `resets`: with nothing from before.
+  void restart_sensors(bool resets) {
+    sensors.restart(machine, tick(), resets);
     if constexpr (IoLinks::present)
-      measure_all([&](arm_measurement& all) { lines.begin(tick(), all); });
+      measure_into([&](arm_measurement& all) { io_links.restart(tick(), all); });
   }
 
   // ARM_OK if a drive takes each of these; of `further` only that of a drive that is enabled
@@ -257,27 +261,27 @@ struct arm_machine {
     }
     return ARM_OK;
   }
-  // Hold them for the period that begins, in `applied` what the motors get. `came`: they are those
-  // that the drives received.
-  void take_commands(const arm_joint_command* joint, const double* further, std::int64_t tick,
-                     bool came = false) {
+  // Hold them for the period that begins, in `applied` what the motors get. `is_received`: they are
+  // those that the drives received.
+  void apply_commands(const arm_joint_command* joint, const double* further, std::int64_t tick,
+                      bool is_received = false) {
     if constexpr (IoLinks::present) {
       arm_joint_command received[J];
       double rows[Scene::inputs * J + 1] = {};
       for (int j = 0; j < J; ++j) received[j] = joint[j];
       for (int k = 0; further && k < Scene::inputs * J; ++k) rows[k] = further[k];
-      lines.command(machine, this->tick(), came, received, rows);
-      put_commands(received, rows, tick);
+      io_links.transmit_commands(machine, this->tick(), is_received, received, rows);
+      set_commands(received, rows, tick);
     } else {
-      put_commands(joint, further, tick);
+      set_commands(joint, further, tick);
     }
-    machine.bound(applied);
+    machine.clamp_commands(applied);
   }
   // Hold commands without bounding them.
-  void put_commands(const arm_joint_command* joint, const double* further, std::int64_t tick) {
+  void set_commands(const arm_joint_command* joint, const double* further, std::int64_t tick) {
     double rows[Scene::inputs * N + 1] = {};
     bool hot[N] = {};  // a motor that is too hot is not enabled
-    if constexpr (Machine::heats) machine.too_hot(hot);
+    if constexpr (Machine::has_winding_temperature) machine.find_overheated(hot);
     for (int j = 0; j < J; ++j) {
       const int drive = arm::drive_of<Scene>(j);
       const bool on = powered && joint[j].enable && !hot[drive];
@@ -286,13 +290,13 @@ struct arm_machine {
         rows[r * N + drive] = on && further ? further[r * J + j] : 0.0;
     }
     for (int k = 0; k < Scene::brakes; ++k) {
-      machine.want_brake(k, closes_brake(k, joint, hot));
+      machine.request_brake(k, is_brake_commanded(k, joint, hot));
     }
-    if constexpr (Scene::inputs > 0) machine.put_further(rows);
+    if constexpr (Scene::inputs > 0) machine.set_further_inputs(rows);
     answered = tick;
   }
   // Whether brake k is wanted closed under these commands.
-  bool closes_brake(int k, const arm_joint_command* joint, const bool* hot) const {
+  bool is_brake_commanded(int k, const arm_joint_command* joint, const bool* hot) const {
     const int j = Scene::braked[k];
     const std::uint32_t enable = hot && hot[arm::drive_of<Scene>(j)] ? 0 : joint[j].enable;
     return !powered || !enable || enable & ARM_CLOSE_BRAKE;
@@ -306,22 +310,22 @@ struct arm_machine {
   void measure(arm_measurement* out) const {
     Motors motors;
     motors.steps = machine.steps();
-    machine.report(motors.current, motors.angle, motors.speed);
+    machine.get_motor_signals(motors.current, motors.angle, motors.speed);
     measure(out, motors);
   }
   void measure(arm_measurement* out, const Motors& motors) const {
-    measure_here(out, motors);
+    measure_machine(out, motors);
     if constexpr (IoLinks::present) {
       arm_measurement all = *out;
-      if (!has(out, offsetof(arm_measurement, readings)))
+      if (!has_field(out, offsetof(arm_measurement, readings)))
         all.sensors = nullptr, all.current_d = nullptr;
-      if (!has(out, offsetof(arm_measurement, further))) all.readings = nullptr;
-      lines.put(all);
+      if (!has_field(out, offsetof(arm_measurement, further))) all.readings = nullptr;
+      io_links.write_received(all);
     }
   }
   // Measure everything on this side of the lines, for use(measurement).
   template <class Use>
-  void measure_all(Use&& use) const {
+  void measure_into(Use&& use) const {
     arm_joint_measurement joint[J];
     arm_joint_sensors own[J] = {};
     double current_d[J] = {}, readings[Scene::readings * J + 1], further[Scene::inputs * J + 1];
@@ -331,8 +335,8 @@ struct arm_machine {
     all.readings = readings, all.further = further;
     Motors motors;
     motors.steps = machine.steps();
-    machine.report(motors.current, motors.angle, motors.speed);
-    measure_here(&all, motors);
+    machine.get_motor_signals(motors.current, motors.angle, motors.speed);
+    measure_machine(&all, motors);
     use(all);
   }
   // Counts of an ideal encoder at motor j.
@@ -347,9 +351,9 @@ struct arm_machine {
     for (int lane = 0; lane < arm::kWidth<X>; ++lane) counts[lane] = __builtin_floor(counts[lane]);
     return __builtin_convertvector(arm::clamp(counts, 0x1p62), arm::Mask<X>);
   }
-  void measure_here(arm_measurement* out, const Motors& motors) const {
+  void measure_machine(arm_measurement* out, const Motors& motors) const {
     [[maybe_unused]] bool hot[N] = {};
-    if constexpr (Machine::heats) machine.too_hot(hot);
+    if constexpr (Machine::has_winding_temperature) machine.find_overheated(hot);
     const int faulty = faulty_joint();
     for (int j = 0; j < J; ++j) {
       const int drive = arm::drive_of<Scene>(j);
@@ -358,29 +362,29 @@ struct arm_machine {
       joint.current = motors.current[drive];
       joint.applied = applied[drive];
       joint.faults = faulty == j ? std::uint32_t{ARM_FAULT_DIVERGED} : 0;
-      if constexpr (Machine::heats)
+      if constexpr (Machine::has_winding_temperature)
         if (hot[drive]) joint.faults |= ARM_FAULT_THERMAL;
       joint.brake = 0;
     }
     for (int k = 0; k < Scene::brakes; ++k)
-      out->joint[Scene::braked[k]].brake = machine.brake_closed(k);
+      out->joint[Scene::braked[k]].brake = machine.is_brake_closed(k);
     out->powered = powered != 0;
     out->tick = motors.steps / steps_per_period;
     out->answered = answered;
-    const bool more = has(out, offsetof(arm_measurement, readings));
+    const bool more = has_field(out, offsetof(arm_measurement, readings));
     if (more && out->current_d) {
       double of_drives[N];
       machine.currents_d(of_drives);
       to_joints(of_drives, out->current_d);
     }
     if constexpr (Scene::inputs > 0)
-      if (has(out, sizeof *out) && out->further) {
+      if (has_field(out, sizeof *out) && out->further) {
         double of_drives[Scene::inputs * N + 1];  // a scene may have no further inputs
         machine.applied_inputs(of_drives);
         for (int r = 0; r < Scene::inputs; ++r) to_joints(of_drives + r * N, out->further + r * J);
       }
-    double* readings = has(out, offsetof(arm_measurement, further)) ? out->readings : nullptr;
-    put_deflections(readings, [&](int drive) { return motors.angle[drive]; });
+    double* readings = has_field(out, offsetof(arm_measurement, further)) ? out->readings : nullptr;
+    write_deflections(readings, [&](int drive) { return motors.angle[drive]; });
     const Places places = {out->joint, more ? out->sensors : nullptr, more ? out->imu : nullptr,
                            readings ? readings + arm::count_deflections<Scene>() * J : nullptr};
     measure_by(sensors, places);
@@ -388,7 +392,7 @@ struct arm_machine {
   // Fill the rows of deflections among the readings, if they are there, by position(drive), which
   // is the angle of a motor that is not there.
   template <class Position>
-  static void put_deflections(double* readings, Position&& position) {
+  static void write_deflections(double* readings, Position&& position) {
     for (int row = 0; readings && row < arm::count_deflections<Scene>(); ++row)
       for (int j = 0; j < J; ++j) {
         const int drive = arm::deflection_of<Scene>(row, j);
@@ -397,7 +401,7 @@ struct arm_machine {
   }
   // The joint that diverged, or in whose bearing a deflection did; -1: none.
   int faulty_joint() const { return arm::joint_of<Scene>(machine.faulty_joint()); }
-  static bool has(const arm_measurement* out, std::size_t size) { return out->size >= size; }
+  static bool has_field(const arm_measurement* out, std::size_t size) { return out->size >= size; }
 
   // Destination of readings; all but the first may be null.
   struct Places {
@@ -453,7 +457,7 @@ struct arm_machine {
         joint.sensors |= ARM_HAS_LINK_ENCODER;
       }
       if (link.index != arm::Index::none) joint.sensors |= ARM_HAS_LINK_INDEX;
-      if (arm::senses<Scene>(j, arm::Field::torque)) joint.sensors |= ARM_HAS_TORQUE;
+      if (arm::has_sensor<Scene>(j, arm::Field::torque)) joint.sensors |= ARM_HAS_TORQUE;
     }
   }
 
@@ -461,7 +465,7 @@ struct arm_machine {
   using IoLinks = arm::IoLinks<Scene>;
   Machine machine;
   [[no_unique_address]] Sensors sensors;
-  [[no_unique_address]] IoLinks lines;
+  [[no_unique_address]] IoLinks io_links;
   double step;
   std::int64_t steps_per_period;
   std::int64_t answered = -1;  // tick that the newest command answered
@@ -479,7 +483,7 @@ namespace {
 
 // Write the fields of a struct that its user's version of arm.h has.
 template <class Struct>
-int fill(Struct* out, const Struct& all) {
+int copy_fields(Struct* out, const Struct& all) {
   __builtin_memcpy(out, &all, out->size < sizeof all ? out->size : sizeof all);
   return ARM_OK;
 }

@@ -9,7 +9,7 @@
 
 namespace {
 
-bool within_bounds(int k, double value) {
+bool is_within_bounds(int k, double value) {
   const arm::Parameter& parameter = Scene::parameter[k];
   return arm::is_finite(value) && value >= parameter.least && value <= parameter.most;
 }
@@ -21,12 +21,12 @@ ARM_ONCE arm_machine* arm_new(const arm_options* options) {
                arm::is_finite(options->step) && options->step > 0.0 &&
                options->steps_per_period > 0 && (options->parameters || !Scene::parameters);
   for (int k = 0; sound && k < Scene::parameters; ++k)
-    sound = within_bounds(k, options->parameters[k]);
+    sound = is_within_bounds(k, options->parameters[k]);
   if (!sound) return nullptr;
   arm_machine* machine = new arm_machine(*options);
   const double zero[arm_machine::N] = {};
   machine->machine.reset(zero, zero);
-  machine->begin_to_look(true);
+  machine->restart_sensors(true);
   return machine;
 }
 void arm_delete(arm_machine* machine) { delete machine; }
@@ -34,12 +34,12 @@ void arm_delete(arm_machine* machine) { delete machine; }
 int arm_reset(arm_machine* machine, const double* q, const double* v) {
   if (!machine || machine->check_finite(q, "q") || machine->check_finite(v, "v"))
     return ARM_REFUSED;
-  machine->forget_external_wrenches();
-  machine->machine.put_brakes(!machine->powered);
+  machine->clear_external_wrenches();
+  machine->machine.set_brakes(!machine->powered);
   machine->machine.reset(arm_machine::Drives(q).of, arm_machine::Drives(v).of);
   machine->answered = -1;
   for (double& value : machine->applied) value = 0.0;
-  machine->begin_to_look(true);
+  machine->restart_sensors(true);
   return ARM_OK;
 }
 
@@ -53,14 +53,15 @@ void arm_begin_threads(arm_machine* machine) {
 
 int arm_exchange(arm_machine* machine, const arm_command* command, arm_measurement* out) {
   if (!machine || machine->check_size(command, offsetof(arm_command, further)) ||
-      machine->check_there(command->joint, "joint of the command") ||
+      machine->check_pointer(command->joint, "joint of the command") ||
       machine->check_measurement(out))
     return ARM_REFUSED;
   const double* further = command->size >= sizeof *command ? command->further : nullptr;
   if (machine->check_commands(command->joint, further)) return ARM_REFUSED;
-  machine->take_commands(command->joint, further, command->tick, command->came != 0);
-  machine->go(machine->steps_per_period,
-              [&](std::int64_t steps) { machine->machine.advance(machine->applied, steps); });
+  machine->apply_commands(command->joint, further, command->tick, command->came != 0);
+  machine->advance_with_sensors(machine->steps_per_period, [&](std::int64_t steps) {
+    machine->machine.advance(machine->applied, steps);
+  });
   machine->measure(out);
   if (machine->listener) machine->listener(machine->listens_with, machine);
   return machine->result();
@@ -82,10 +83,10 @@ int arm_measure(const arm_machine* machine, arm_measurement* out) {
 void arm_power(arm_machine* machine, int on) {
   if (!machine || machine->powered == (on != 0)) return;
   machine->powered = on != 0;
-  for (int k = 0; k < Scene::brakes; ++k) machine->machine.want_brake(k, !machine->powered);
+  for (int k = 0; k < Scene::brakes; ++k) machine->machine.request_brake(k, !machine->powered);
   if constexpr (Scene::inputs > 0) {
     static constexpr double nothing[Scene::inputs * arm_machine::N + 1] = {};  // never empty
-    if (!on) machine->machine.put_further(nothing);
+    if (!on) machine->machine.set_further_inputs(nothing);
   }
 }
 
@@ -98,7 +99,7 @@ int arm_why(const arm_machine* machine, arm_refusal* out) {
 namespace {
 
 // The place of a varied number in the list; -1: none of that name.
-int place_of(const char* name) {
+int find_parameter(const char* name) {
   for (int k = 0; name && k < Scene::parameters; ++k)
     if (__builtin_strcmp(Scene::parameter[k].name, name) == 0) return k;
   return -1;
@@ -107,8 +108,8 @@ int place_of(const char* name) {
 }  // namespace
 
 int arm_get_parameter(const arm_machine* machine, const char* name, double* value) {
-  if (!machine || machine->check_there(value, "value")) return ARM_REFUSED;
-  const int k = place_of(name);
+  if (!machine || machine->check_pointer(value, "value")) return ARM_REFUSED;
+  const int k = find_parameter(name);
   if (k < 0) return machine->refuse(-1, "parameter", "be varied in this scene", 0.0);
   *value = machine->machine.parameter(k);
   return ARM_OK;
@@ -116,9 +117,9 @@ int arm_get_parameter(const arm_machine* machine, const char* name, double* valu
 
 int arm_set_parameter(arm_machine* machine, const char* name, double value) {
   if (!machine) return ARM_REFUSED;
-  const int k = place_of(name);
+  const int k = find_parameter(name);
   if (k < 0) return machine->refuse(-1, "parameter", "be varied in this scene", 0.0);
-  if (!within_bounds(k, value))
+  if (!is_within_bounds(k, value))
     return machine->refuse(-1, "parameter", "be within its bounds", value);
   machine->machine.set_parameter(k, value);
   return ARM_OK;
@@ -129,7 +130,7 @@ namespace {
 int check_wrench(const arm_machine* machine, std::int32_t link, const arm_wrench* wrench,
                  arm::GivenWrench& wrench_numbers) {
   const int joint = arm::kCoupled<Scene> ? -1 : arm::joint_of<Scene>(link);
-  if (machine->refuse_wrench(link) || machine->check_size(wrench)) return ARM_REFUSED;
+  if (machine->check_wrench_link(link) || machine->check_size(wrench)) return ARM_REFUSED;
   if (wrench->axes != ARM_LINK_AXES && wrench->axes != ARM_WORLD_AXES)
     return machine->refuse(joint, "axes", "be one of enum arm_axes", wrench->axes);
   double* to = wrench_numbers.numbers;
@@ -153,7 +154,7 @@ int arm_set_external_wrench(arm_machine* machine, std::int32_t link, const arm_w
 }
 
 int arm_get_external_wrench(const arm_machine* machine, std::int32_t link, arm_wrench* out) {
-  if (!machine || machine->refuse_wrench(link) || machine->check_size(out)) return ARM_REFUSED;
+  if (!machine || machine->check_wrench_link(link) || machine->check_size(out)) return ARM_REFUSED;
   const double* of = machine->wrenches[Scene::external_wrench ? link : 0].numbers;
   for (double* vector : {out->point, out->force, out->moment})
     for (int k = 0; k < 3; ++k) vector[k] = *of++;
@@ -174,7 +175,7 @@ int arm_get_truth(const arm_machine* machine, arm_truth* out) {
   if (!machine || machine->check_size(out)) return ARM_REFUSED;
   const auto& x = machine->machine.state();
   double current[N], angle[N], speed[N], torque[N];
-  machine->machine.report(current, angle, speed);
+  machine->machine.get_motor_signals(current, angle, speed);
   if (out->gear_torque) machine->machine.gear_torques(torque);
   const double* const from[] = {current, angle, speed, x.q, x.v, torque};
   double* const to[] = {out->current, out->motor_angle, out->motor_speed,
@@ -217,7 +218,7 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
   if (!machine || machine->check_size(truth)) return ARM_REFUSED;
   double current[N], angle[N], speed[N];
   auto x = machine->machine.state();
-  machine->machine.report(current, angle, speed);
+  machine->machine.get_motor_signals(current, angle, speed);
   double* const to[] = {current, angle, speed, x.q, x.v};
   const double* const from[] = {truth->current, truth->motor_angle, truth->motor_speed, truth->q,
                                 truth->v};
@@ -228,8 +229,8 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
     arm_machine::to_drives(from[row], to[row]);
   }
   int result = ARM_OK;
-  machine->machine.numbers_now().for_each_drive([&](const auto& drive, int j) {
-    const auto behind = drive.at_rest_behind(x.q[j], x.v[j]);
+  machine->machine.numbers().for_each_drive([&](const auto& drive, int j) {
+    const auto behind = drive.make_rest_state(x.q[j], x.v[j]);
     const double limit = drive.motor.largest_current();
     const auto differs = [&](const double* row, double actual, double expected) {
       return row && arm::magnitude(actual - expected) > 1e-9 * (1.0 + arm::magnitude(expected));
@@ -246,31 +247,32 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
       result =
           machine->refuse(joint, names[2], "be that of the link, which it turns with", speed[j]);
     auto put = input_of(drive, j, x, 0.0);
-    drive.put_motor(put, current[j], angle[j], speed[j]);
-    put_states(drive, j, 0, put, x);
+    drive.set_motor(put, current[j], angle[j], speed[j]);
+    store_states(drive, j, 0, put, x);
   });
   if (result != ARM_OK) return result;
-  machine->machine.put(x, false);
-  machine->begin_to_look(false);
+  machine->machine.set_state(x, false);
+  machine->restart_sensors(false);
   return ARM_OK;
 }
 
 int arm_advance(arm_machine* machine, const double* command, std::int64_t steps) {
   if (!machine || machine->check_finite(command, "command") || machine->check_count(steps, "steps"))
     return ARM_REFUSED;
-  const arm_machine::Drives applied = machine->with_power(command);
-  machine->go(steps, [&](std::int64_t some) { machine->machine.advance(applied.of, some); });
+  const arm_machine::Drives applied = machine->apply_power(command);
+  machine->advance_with_sensors(
+      steps, [&](std::int64_t some) { machine->machine.advance(applied.of, some); });
   return machine->result();
 }
 
 int arm_run(arm_machine* machine, const double* command, std::int64_t rows, std::int64_t steps,
             double* q) {
-  if (!machine || machine->check_there(command, "command") || machine->check_there(q, "q") ||
+  if (!machine || machine->check_pointer(command, "command") || machine->check_pointer(q, "q") ||
       machine->check_count(rows, "rows") || machine->check_count(steps, "steps"))
     return ARM_REFUSED;
   for (std::int64_t row = 0; row < rows; ++row)
     if (machine->check_finite(command + row * arm_machine::J, "command")) return ARM_REFUSED;
-  machine->follow(command, rows, steps, q);
+  machine->follow_commands(command, rows, steps, q);
   return machine->result();
 }
 

@@ -34,7 +34,7 @@ int arm_describe(arm_description* out) {
     all.step = arm_scene_periods.step;
     all.steps_per_period = arm_scene_periods.steps_per_period;
   }
-  return fill(out, all);
+  return copy_fields(out, all);
 }
 
 int arm_describe_joint(std::int32_t joint, arm_joint_description* out) {
@@ -55,7 +55,7 @@ int arm_describe_joint(std::int32_t joint, arm_joint_description* out) {
     all.current_limit = drive.motor.largest_current();
   });
   arm_machine::describe<arm_machine::Sensors>(of_joint, all);
-  return fill(out, all);
+  return copy_fields(out, all);
 }
 
 int arm_describe_reading(std::int32_t reading, std::int32_t joint, arm_reading* out) {

@@ -19,7 +19,7 @@ ARM_ONCE std::int32_t arm_linear_drives(const double* point, std::int32_t loaded
     for (int k = 0; k < count; ++k) *out++ = from[k];
   };
   at.numbers.for_each_drive([&](const auto& drive, int) {
-    const auto linear = arm::LinearDrive<K, arm::max_modes<Scene>()>::of(
+    const auto linear = arm::LinearDrive<K, arm::max_modes<Scene>()>::linearise(
         drive, loaded ? drive.active_under_load : 0);
     *out++ = drive.states;
     *out++ = drive.carried();
@@ -29,7 +29,7 @@ ARM_ONCE std::int32_t arm_linear_drives(const double* point, std::int32_t loaded
     using Drive = std::remove_cvref_t<decltype(drive)>;
     for (int column = 0; column < K + 3; ++column) {
       typename Drive::template Input<double> one = {};
-      linear.template set<Drive>(one, column, 1.0);
+      linear.template set_input<Drive>(one, column, 1.0);
       out[column] = drive.current(one), out[K + 3 + column] = drive.motor_angle(one);
     }
     out += 2 * (K + 3);
@@ -47,8 +47,8 @@ ARM_ONCE void arm_linearise(const double* point, double* x, double* command, std
   if (!as_it_is)
     for (int k = 0; k < Linear::numbers; ++k) Linear::number(at, k) = x[k];
   arm::bound_commands(numbers, at, command);
-  arm::follow_at_once(numbers, at, command);
-  if (follows) arm::begin_at_once(numbers, at, command);
+  arm::set_algebraic_states(numbers, at, command);
+  if (follows) arm::set_start_states(numbers, at, command);
   for (int k = 0; k < Linear::numbers; ++k) x[k] = Linear::number(at, k);
   const Linear linear(numbers, at, command, slides);
   linear.write(at, command, out);
@@ -63,7 +63,7 @@ void for_each_links(const double* point, std::int64_t count, const double* q, co
   const arm::EquationPoint<Scene> at(point);
   for (std::int64_t row = 0; row < count; ++row, q += Scene::N, v += Scene::N) {
     arm::Links<Scene>::Dynamics links;
-    arm::Links<Scene>::dynamics_apart(at.numbers, q, v, links);
+    arm::Links<Scene>::compute_dynamics_apart(at.numbers, q, v, links);
     body(row, links);
   }
 }

@@ -13,13 +13,13 @@ namespace arm {
 template <class S>
 struct IoLinks {
   static constexpr bool present = false;
-  std::int64_t newest() const { return 0; }
-  void begin(std::int64_t, const arm_measurement&) {}
+  std::int64_t newest_tick() const { return 0; }
+  void restart(std::int64_t, const arm_measurement&) {}
   template <class Machine>
-  void command(const Machine&, std::int64_t, bool, arm_joint_command*, double*) {}
+  void transmit_commands(const Machine&, std::int64_t, bool, arm_joint_command*, double*) {}
   template <class Machine>
-  void measure(const Machine&, std::int64_t, arm_measurement&) {}
-  void put(arm_measurement&) const {}
+  void transmit_measurement(const Machine&, std::int64_t, arm_measurement&) {}
+  void write_received(arm_measurement&) const {}
   template <class Number>
   void for_each_number(Number&&) {}
 };
@@ -32,27 +32,27 @@ class IoLinks<S> {
   static constexpr int N = count_joints<S>();
 
   // Tick of the newest measurement.
-  std::int64_t newest() const { return newest_; }
+  std::int64_t newest_tick() const { return newest_; }
 
   // As if the machine had always rested, enabled, under commands of 0.
-  void begin(std::int64_t tick, const arm_measurement& measured) {
+  void restart(std::int64_t tick, const arm_measurement& measured) {
     newest_ = tick;
     for (int j = 0; j < N; ++j) {
       Command rest = {};
       rest[kCommand - 1] = ARM_ENABLED;
-      commands_[j].begin(rest);
+      commands_[j].restart(rest);
       Measured frame;
       pack(measured, j, frame);
-      measurements_[j].begin(frame);
+      measurements_[j].restart(frame);
     }
   }
 
-  // Replace the commands of a tick by those that the drives receive. `came`: these have come
+  // Replace the commands of a tick by those that the drives receive. `is_received`: these have come
   // through already.
   template <class Machine>
-  void command(const Machine& machine, std::int64_t tick, bool came, arm_joint_command* joint,
-               double* further) {
-    const auto suite = now(machine);
+  void transmit_commands(const Machine& machine, std::int64_t tick, bool is_received,
+                         arm_joint_command* joint, double* further) {
+    const auto suite = evaluate_faults(machine);
     for (int j = 0; j < N; ++j) {
       if (!kLined.at[j]) continue;
       Command frame;
@@ -64,8 +64,8 @@ class IoLinks<S> {
       const std::uint64_t mode = static_cast<std::uint32_t>(joint[j].mode);
       frame[kCommand - 1] = static_cast<std::int64_t>(mode << 32 | joint[j].enable);
       static constexpr LineFaults none;
-      commands_[j].send(tick, frame, came ? none : suite.at[j].command, noises(suite, j, 0),
-                        spoil_number);
+      commands_[j].send(tick, frame, is_received ? none : suite.at[j].command, noises(suite, j, 0),
+                        flip_bit_of_number);
       for (int w = 0; w < kCommand; ++w) frame[w] = commands_[j].received()[w];
       each([](const std::int64_t& from, double& to) { to = std::bit_cast<double>(from); });
       const auto last = static_cast<std::uint64_t>(frame[kCommand - 1]);
@@ -76,25 +76,26 @@ class IoLinks<S> {
 
   // Send the measurement of a tick, of which no array is null.
   template <class Machine>
-  void measure(const Machine& machine, std::int64_t tick, arm_measurement& measured) {
+  void transmit_measurement(const Machine& machine, std::int64_t tick, arm_measurement& measured) {
     newest_ = tick;
-    const auto suite = now(machine);
+    const auto suite = evaluate_faults(machine);
     for (int j = 0; j + 1 < N; ++j)
       if (suite.at[j].swapped >= 0.5) swap_encoders(measured, j, j + 1);
     for (int j = 0; j < N; ++j) {
       if (!kLined.at[j]) continue;
       Measured frame;
       pack(measured, j, frame);
-      measurements_[j].send(tick, frame, suite.at[j].measurement, noises(suite, j, 1), spoil_count);
+      measurements_[j].send(tick, frame, suite.at[j].measurement, noises(suite, j, 1),
+                            flip_bit_of_count);
     }
   }
 
   // Replace a measurement by the received one; its arrays may be null.
-  void put(arm_measurement& out) const {
+  void write_received(arm_measurement& out) const {
     for (int j = 0; j < N; ++j) {
       if (!kLined.at[j]) continue;
       const Measured& frame = measurements_[j].received();
-      for_each_word(out, j, [&](int k, auto& to) { set(to, frame[k]); });
+      for_each_word(out, j, [&](int k, auto& to) { assign(to, frame[k]); });
     }
   }
 
@@ -112,7 +113,7 @@ class IoLinks<S> {
     constexpr Lined() {
       const auto suite = S::lines(SomeValues<S>().p);
       for (int j = 0; j < N; ++j) {
-        at[j] |= suite.at[j].may_fail();
+        at[j] |= suite.at[j].can_fail();
         if (j + 1 < N && suite.at[j].swapped != 0.0) at[j + 1] = true;
       }
     }
@@ -125,7 +126,7 @@ class IoLinks<S> {
   using Measured = typename LineDirection<kMeasured>::Frame;
 
   template <class Machine>
-  static auto now(const Machine& machine) {
+  static auto evaluate_faults(const Machine& machine) {
     double values[S::parameters + 1] = {};
     for (int k = 0; k < S::parameters; ++k) values[k] = machine.parameter(k);
     return S::lines(values);
@@ -133,26 +134,26 @@ class IoLinks<S> {
   // Streams apart from those of sensors.
   template <class Suite>
   static Noise noises(const Suite& suite, int j, int way) {
-    return Noise::of(suite.seed, -(1 << 29) - 2 * j - way);
+    return Noise::make_stream(suite.seed, -(1 << 29) - 2 * j - way);
   }
 
   // Turn over the sign of a number, or one of the 23 leading bits of its fraction: it stays finite.
-  static void spoil_number(Command& frame, double draw) {
+  static void flip_bit_of_number(Command& frame, double draw) {
     const int bit = static_cast<int>(24.0 * draw - 1e-9);
     frame[0] ^= std::int64_t{1} << (bit < 1 ? 63 : 52 - bit);
   }
   // Turn over one of the 16 last bits of counts.
-  static void spoil_count(Measured& frame, double draw) {
+  static void flip_bit_of_count(Measured& frame, double draw) {
     frame[0] ^= std::int64_t{1} << static_cast<int>(16.0 * draw - 1e-9);
   }
 
-  static void swap_encoders(arm_measurement& measured, int j, int other) {
+  static void swap_encoders(arm_measurement& measured, int j, int neighbour) {
     const auto exchange = [](auto& a, auto& b) {
       const auto first = a;
       a = b, b = first;
     };
-    exchange(measured.joint[j].encoder, measured.joint[other].encoder);
-    arm_joint_sensors &a = measured.sensors[j], &b = measured.sensors[other];
+    exchange(measured.joint[j].encoder, measured.joint[neighbour].encoder);
+    arm_joint_sensors &a = measured.sensors[j], &b = measured.sensors[neighbour];
     const double torques[] = {a.torque, b.torque};
     exchange(a, b);
     a.torque = torques[0], b.torque = torques[1];
@@ -164,9 +165,11 @@ class IoLinks<S> {
   static std::int64_t word_of(std::int64_t value) { return value; }
   static std::int64_t word_of(std::uint32_t value) { return value; }
   static std::int64_t word_of(double value) { return std::bit_cast<std::int64_t>(value); }
-  static void set(std::int64_t& to, std::int64_t word) { to = word; }
-  static void set(std::uint32_t& to, std::int64_t word) { to = static_cast<std::uint32_t>(word); }
-  static void set(double& to, std::int64_t word) { to = std::bit_cast<double>(word); }
+  static void assign(std::int64_t& to, std::int64_t word) { to = word; }
+  static void assign(std::uint32_t& to, std::int64_t word) {
+    to = static_cast<std::uint32_t>(word);
+  }
+  static void assign(double& to, std::int64_t word) { to = std::bit_cast<double>(word); }
 
   // word(index, number) for all of joint j that is there. What the motors got is left out: a run is
   // repeated from it.

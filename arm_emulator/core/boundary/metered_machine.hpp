@@ -20,7 +20,7 @@ void write_flow(const auto& flow, double* out) {
 
 // Call meter(), which is compiled for scenes that meter energy alone.
 template <class S>
-int metered([[maybe_unused]] auto* machine, [[maybe_unused]] auto&& meter) {
+int call_metered([[maybe_unused]] auto* machine, [[maybe_unused]] auto&& meter) {
   if (!machine) return ARM_REFUSED;
   if constexpr (S::energy_flow)
     return meter(*machine);
@@ -31,22 +31,23 @@ int metered([[maybe_unused]] auto* machine, [[maybe_unused]] auto&& meter) {
 }  // namespace
 
 int arm_powers(const arm_machine* machine, const double* command, double* out) {
-  return metered<Scene>(machine, [&](const auto& one) {
-    if (one.check_finite(command, "command") || one.check_there(out, "out")) return ARM_REFUSED;
-    write_flow(one.machine.powers(one.with_power(command).of), out);
+  return call_metered<Scene>(machine, [&](const auto& one) {
+    if (one.check_finite(command, "command") || one.check_pointer(out, "out")) return ARM_REFUSED;
+    write_flow(one.machine.powers(one.apply_power(command).of), out);
     return ARM_OK;
   });
 }
 
 int arm_advance_metered(arm_machine* machine, const double* command, std::int64_t steps,
                         double* out) {
-  return metered<Scene>(machine, [&](auto& one) -> int {
-    if (one.check_finite(command, "command") || one.check_there(out, "out") ||
+  return call_metered<Scene>(machine, [&](auto& one) -> int {
+    if (one.check_finite(command, "command") || one.check_pointer(out, "out") ||
         one.check_count(steps, "steps"))
       return ARM_REFUSED;
     arm::EnergyFlow<Scene> flow;
-    const arm_machine::Drives applied = one.with_power(command);
-    one.go(steps, [&](std::int64_t some) { one.machine.advance_metered(applied.of, some, flow); });
+    const arm_machine::Drives applied = one.apply_power(command);
+    one.advance_with_sensors(
+        steps, [&](std::int64_t some) { one.machine.advance_metered(applied.of, some, flow); });
     write_flow(flow, out);
     return one.result();
   });

@@ -16,11 +16,11 @@ struct arm_primal {
     machine.reset(Drives(run->q).of, Drives(run->v).of);
     if (run->theta_m && run->omega_m) {
       arm::State<Scene> at = machine.state();
-      arm::put_motors(machine.numbers_now(), Drives(run->theta_m).of, Drives(run->omega_m).of, at);
-      machine.put(at, true);
+      arm::set_motors(machine.numbers(), Drives(run->theta_m).of, Drives(run->omega_m).of, at);
+      machine.set_state(at, true);
     }
     [this]<class Machine>(Machine& of) {
-      if constexpr (Machine::locates) of.note_in(&pieces);
+      if constexpr (Machine::locates) of.record_segments_in(&pieces);
     }(machine);
   }
 };

@@ -10,7 +10,7 @@ namespace {
 constexpr std::int64_t kWord = 8;
 
 // Reader or writer of the words of a saved machine. They end with a checksum, which detects
-// spoiled bytes.
+// damaged bytes.
 struct Words {
   unsigned char* at;
   std::uint64_t sum = 0xcbf29ce484222325;
@@ -19,15 +19,15 @@ struct Words {
   void write(const Number& number) {
     static_assert(sizeof number == kWord);
     __builtin_memcpy(at, &number, kWord);
-    pass();
+    advance();
   }
   template <class Number>
   void read(Number& number) {
     static_assert(sizeof number == kWord);
     __builtin_memcpy(&number, at, kWord);
-    pass();
+    advance();
   }
-  ARM_ONCE void pass() {
+  ARM_ONCE void advance() {
     std::uint64_t word;
     __builtin_memcpy(&word, at, kWord);
     sum = (sum ^ word) * 0x100000001b3;  // FNV-1a: a change of any one word changes the sum
@@ -40,21 +40,22 @@ struct Words {
 
 namespace {
 
-std::int64_t saved_size_of(arm_machine& machine) {
-  arm_machine::Machine::FullState full_state = {};
+std::int64_t count_saved_bytes(arm_machine& machine) {
+  arm_machine::Machine::FullState make_full_state = {};
   arm_machine::Values values = {};
   std::int64_t words = 2;  // the fingerprint, the sum
-  arm_machine::for_each_saved_number(machine, full_state, values, [&](const auto&) { ++words; });
+  arm_machine::for_each_saved_number(machine, make_full_state, values,
+                                     [&](const auto&) { ++words; });
   return words * kWord;
 }
 
 void write_saved(const arm_machine* machine, void* out) {
   Words words = {static_cast<unsigned char*>(out)};
   words.write(std::uint64_t{ARM_FINGERPRINT});
-  auto full_state = machine->machine.full_state();
+  auto make_full_state = machine->machine.make_full_state();
   arm_machine::Values values = {};
   for (int k = 0; k < arm::kOwnNumbers<Scene>; ++k) values[k] = machine->machine.parameter(k);
-  arm_machine::for_each_saved_number(const_cast<arm_machine&>(*machine), full_state, values,
+  arm_machine::for_each_saved_number(const_cast<arm_machine&>(*machine), make_full_state, values,
                                      [&](const auto& number) { words.write(number); });
   words.write(std::uint64_t{words.sum});
 }
@@ -76,23 +77,23 @@ int check_saved(const arm_machine* machine, const void* saved, std::int64_t size
   if (steps_per_period != machine->steps_per_period)
     return machine->refuse(-1, "saved machine", "have as many steps per period",
                            static_cast<double>(steps_per_period));
-  while (words.at != begin + size - kWord) words.pass();
+  while (words.at != begin + size - kWord) words.advance();
   const std::uint64_t expected = words.sum;
   words.read(sum);
   return sum == expected ? ARM_OK : machine->refuse(-1, "saved machine", "be as it was saved", 0.0);
 }
 
-void take_saved(arm_machine* machine, const void* saved) {
+void restore_saved(arm_machine* machine, const void* saved) {
   Words words = {const_cast<unsigned char*>(static_cast<const unsigned char*>(saved)) + kWord};
-  arm_machine::Machine::FullState full_state = {};
+  arm_machine::Machine::FullState make_full_state = {};
   arm_machine::Values values = {};
-  arm_machine::for_each_saved_number(*machine, full_state, values,
+  arm_machine::for_each_saved_number(*machine, make_full_state, values,
                                      [&](auto& number) { words.read(number); });
   for (int k = 0; k < arm::kOwnNumbers<Scene>; ++k) machine->machine.set_parameter(k, values[k]);
   if constexpr (Scene::external_wrench)
     for (int link = 0; link < Scene::L; ++link)
       machine->set_external_wrench(link, machine->wrenches[link]);
-  machine->machine.restore(full_state);
+  machine->machine.restore(make_full_state);
 }
 
 }  // namespace
@@ -102,13 +103,13 @@ ARM_ONCE std::int64_t arm_saved_size(void) {
   static const std::int64_t size = [] {
     const arm::SomeValues<Scene> some;
     arm_machine none({sizeof(arm_options), -1, 1.0, 1, some.p});
-    return saved_size_of(none);
+    return count_saved_bytes(none);
   }();
   return size;
 }
 
 ARM_ONCE int arm_save(const arm_machine* machine, void* out, std::int64_t size) {
-  if (!machine || machine->check_there(out, "out")) return ARM_REFUSED;
+  if (!machine || machine->check_pointer(out, "out")) return ARM_REFUSED;
   if (size != arm_saved_size())
     return machine->refuse(-1, "size", "be arm_saved_size()", static_cast<double>(size));
   write_saved(machine, out);
@@ -116,11 +117,11 @@ ARM_ONCE int arm_save(const arm_machine* machine, void* out, std::int64_t size) 
 }
 
 ARM_ONCE int arm_restore(arm_machine* machine, const void* saved, std::int64_t size) {
-  if (!machine || machine->check_there(saved, "saved machine")) return ARM_REFUSED;
+  if (!machine || machine->check_pointer(saved, "saved machine")) return ARM_REFUSED;
   if (size != arm_saved_size())
     return machine->refuse(-1, "size", "be arm_saved_size()", static_cast<double>(size));
   if (check_saved(machine, saved, size)) return ARM_REFUSED;
-  take_saved(machine, saved);
+  restore_saved(machine, saved);
   return ARM_OK;
 }
 #endif

@@ -41,17 +41,17 @@ struct Begin {
   arm::State<Scene> state(const arm_sensitive_run& run) const {
     const Numbers numbers(parameters.at);
     using Drives = arm::DriveRow<Scene, Real>;
-    auto x = arm::at_rest_behind(numbers, Drives(q.at).of, Drives(v.at).of);
+    auto x = arm::make_rest_state(numbers, Drives(q.at).of, Drives(v.at).of);
     using Motors = arm::DriveRow<Scene, double>;
     if (run.theta_m && run.omega_m)
-      arm::put_motors(numbers, Motors(run.theta_m).of, Motors(run.omega_m).of, x);
+      arm::set_motors(numbers, Motors(run.theta_m).of, Motors(run.omega_m).of, x);
     return x;
   }
 };
 
 // Put down a part's derivatives at the end of a row, and the values.
-void write(const arm_sensitive_run& run, std::int64_t part, std::int64_t row,
-           const arm::Numbers<Scene>& numbers, const arm::State<Scene>& x) {
+void write_row(const arm_sensitive_run& run, std::int64_t part, std::int64_t row,
+               const arm::Numbers<Scene>& numbers, const arm::State<Scene>& x) {
   constexpr int N = arm::count_joints<Scene>();
   Real of[5][N];
   numbers.for_each_drive([&](const auto& drive, int number) {
@@ -75,23 +75,23 @@ void write(const arm_sensitive_run& run, std::int64_t part, std::int64_t row,
 
 // Machines that decide for themselves.
 template <class S>
-std::int64_t run_alone(const arm_sensitive_run& run, std::int64_t part) {
+std::int64_t run_single(const arm_sensitive_run& run, std::int64_t part) {
   const Begin begin(run, part);
   arm::Machine<S> machine(run.step, -1, begin.parameters.at);
-  machine.put(begin.state(run), true);
+  machine.set_state(begin.state(run), true);
   for (std::int64_t row = 0; row < run.rows; ++row) {
     const arm::DriveRow<Scene, double> command(run.commands + row * arm::count_joints<Scene>());
     Real u[Scene::N];
     for (int j = 0; j < Scene::N; ++j) u[j] = command.of[j];
     if (machine.advance(u, run.steps) >= 0) return row;
-    write(run, part, row, machine.numbers_now(), machine.state());
+    write_row(run, part, row, machine.numbers(), machine.state());
   }
   return run.rows;
 }
 
 // Machines that follow one whose values decide.
 template <class S>
-std::int64_t run_following(const arm_sensitive_run& run) {
+std::int64_t run_replays(const arm_sensitive_run& run) {
   using DerivativeReplay = arm::DerivativeReplay<S>;
   const std::unique_ptr<arm_primal, void (*)(arm_primal*)> primal(arm_primal_new(&run),
                                                                   arm_primal_delete);
@@ -115,11 +115,11 @@ std::int64_t run_following(const arm_sensitive_run& run) {
     for (auto& of_piece : common) of_piece.begun = false;
     for (std::int64_t part = 0; part < run.parts; ++part) {
       DerivativeReplay& replay = *followers[part];
-      replay.command(command);
+      replay.begin_row(command);
       for (std::int64_t k = 0; k < count; ++k)
-        replay.follow(pieces[k], pieces[k + 1], values, common[k]);
-      replay.end_row(pieces[count]);
-      write(run, part, row, replay.numbers(), replay.state());
+        replay.replay_part(pieces[k], pieces[k + 1], values, common[k]);
+      replay.finish_row(pieces[count]);
+      write_row(run, part, row, replay.numbers(), replay.state());
     }
   }
   return run.rows;
@@ -128,11 +128,11 @@ std::int64_t run_following(const arm_sensitive_run& run) {
 template <class S>
 std::int64_t run_all(const arm_sensitive_run& run) {
   if constexpr (arm::Machine<S>::locates) {
-    return run_following<S>(run);
+    return run_replays<S>(run);
   } else {
     std::int64_t done = run.rows;
     for (std::int64_t part = 0; part < run.parts && done == run.rows; ++part)
-      done = run_alone<S>(run, part);
+      done = run_single<S>(run, part);
     return done;
   }
 }

@@ -14,29 +14,29 @@ class Brakes {
   static constexpr int B = S::brakes;
   static constexpr std::int64_t never = INT64_MAX;
 
-  Brakes() { put(false); }
+  Brakes() { set_all(false); }
 
   // Whether brake k is wanted closed.
-  bool wants(int k) const { return requested_[k] != 0; }
+  bool is_requested(int k) const { return requested_[k] != 0; }
   // Request brake k to close or open `delay` steps after step `now`.
-  void want(int k, bool closed, bool is_closed, std::int64_t now, std::int64_t delay) {
+  void request(int k, bool closed, bool is_closed, std::int64_t now, std::int64_t delay) {
     requested_[k] = closed;
     at_[k] = closed == is_closed ? never : now + delay;
   }
   // Set all of them as requested, without delay.
-  void put(bool closed) {
+  void set_all(bool closed) {
     for (int k = 0; k < B; ++k) requested_[k] = closed, at_[k] = never;
   }
 
   // Step of the next change.
-  std::int64_t next() const {
+  std::int64_t next_change() const {
     std::int64_t first = never;
     for (int k = 0; k < B; ++k) first = at_[k] < first ? at_[k] : first;
     return first;
   }
   // change(k, closed) for those that are due at step `now`.
   template <class Change>
-  void at_step(std::int64_t now, Change&& change) {
+  void apply_due(std::int64_t now, Change&& change) {
     for (int k = 0; k < B; ++k) {
       if (at_[k] > now) continue;
       at_[k] = never;

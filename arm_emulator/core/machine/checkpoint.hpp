@@ -13,7 +13,7 @@ namespace arm {
 template <class S, class Memory, int row>
 struct Checkpoint {
   State<S> x;
-  Memory past;
+  Memory memory;
   EnergyBalance<S> balance;
   ExternalWork<S> work;
   Real u[row];  // the commands of the step before, within the supply
@@ -24,7 +24,7 @@ struct Checkpoint {
   template <class Number>
   void for_each_number(Number&& number) {
     arm::for_each_number(x, number);
-    past.for_each_number(number);
+    memory.for_each_number(number);
     balance.for_each_number(number);
     work.for_each_number(number);
     for (int j = 0; j < S::N; ++j) number(u[j]);

@@ -1,4 +1,4 @@
-// Commands for one machine, or several side by side: rows, each held for some steps.
+// Commands for one machine, or several in lanes: rows, each held for some steps.
 #pragma once
 
 #include <cstdint>
@@ -15,33 +15,33 @@ class CommandSchedule {
   static constexpr int N = S::N, width = kWidth<X>;
 
   // For each lane the first row of its commands, and where its positions after that row go, if not
-  // null. `stride`: numbers from one row to the next, of both; `apart`: from the command of a joint
-  // to that of the next. If that is `width`, those of all lanes lie side by side.
+  // null. `stride`: numbers from one row to the next, of both; `spacing`: from the command of a
+  // joint to that of the next. If that is `width`, those of all lanes lie side by side.
   CommandSchedule(const Real* const (&commands)[width], Real* const (&positions)[width],
-                  std::int64_t stride, std::int64_t steps_per_row, int apart = 1,
-                  std::int64_t left_of_this = 0)
-      : steps(steps_per_row), step_over_(stride), apart_(apart), left_(left_of_this) {
+                  std::int64_t stride, std::int64_t steps_per_row, int spacing = 1,
+                  std::int64_t steps_left = 0)
+      : steps(steps_per_row), stride_(stride), spacing_(spacing), left_(steps_left) {
     for (int lane = 0; lane < width; ++lane)
       command_[lane] = commands[lane], q_[lane] = positions[lane];
   }
 
   // The remaining course of one lane.
   template <int single>
-  CommandSchedule<S, Real, single> of_lane(int lane) const {
-    return {{command_[lane]}, {q_[lane]}, step_over_, steps, apart_, left_};
+  CommandSchedule<S, Real, single> lane_schedule(int lane) const {
+    return {{command_[lane]}, {q_[lane]}, stride_, steps, spacing_, left_};
   }
 
   // Begin the next row: `u` becomes its commands within their bounds. Returns where they differ
   // from those before.
-  ARM_INLINE Mask<X> begin_row(const Numbers<S, X>& numbers, const State<S, X>& x, X (&u)[row]) {
+  ARM_INLINE Mask<X> start_row(const Numbers<S, X>& numbers, const State<S, X>& x, X (&u)[row]) {
     Mask<X> differ = {};
     X bounded[N];
-    if (width > 1 && apart_ == width)
+    if (width > 1 && spacing_ == width)
       __builtin_memcpy(bounded, command_[0], sizeof bounded);
     else
       for_each<N>([&](auto j) __attribute__((always_inline)) {
         for (int lane = 0; lane < width; ++lane)
-          set_lane(bounded[j], lane, command_[lane][j * apart_]);
+          set_lane(bounded[j], lane, command_[lane][j * spacing_]);
       });
     bound_commands(numbers, x, bounded);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
@@ -49,19 +49,19 @@ class CommandSchedule {
       u[j] = bounded[j];
     });
     for (const Real*& next : command_) {
-      next += step_over_;
-      if (width > 1) __builtin_prefetch(next + kAhead * step_over_);
+      next += stride_;
+      if (width > 1) __builtin_prefetch(next + kAhead * stride_);
     }
     left_ = steps;
     return differ;
   }
-  ARM_INLINE void end_row(const State<S, X>& x) {
+  ARM_INLINE void finish_row(const State<S, X>& x) {
     for (int lane = 0; lane < width; ++lane) {
       if (!q_[lane]) continue;
       for_each<N>([&](auto j)
                       __attribute__((always_inline)) { q_[lane][j] = lane_of(x.q[j], lane); });
-      q_[lane] += step_over_;
-      if (width > 1) __builtin_prefetch(q_[lane] + kAhead * step_over_, 1);
+      q_[lane] += stride_;
+      if (width > 1) __builtin_prefetch(q_[lane] + kAhead * stride_, 1);
     }
   }
 
@@ -73,7 +73,7 @@ class CommandSchedule {
     X energy = h * power;
     for (int s = 0; s < count; ++s) {
       if (left_ == 0) {
-        const Mask<X> differ = begin_row(numbers, y, u);
+        const Mask<X> differ = start_row(numbers, y, u);
         if (any(differ)) {
           power = select(differ, EnergyBalance<S>::largest_power(numbers, y, u), power);
           energy = h * power;
@@ -89,7 +89,7 @@ class CommandSchedule {
         power = now;
       }
       most += energy;
-      if (--left_ == 0) end_row(y);
+      if (--left_ == 0) finish_row(y);
     }
     return count;
   }
@@ -101,8 +101,8 @@ class CommandSchedule {
   static constexpr int kAhead = 8;
   const Real* command_[width];  // of the next row
   Real* q_[width];              // for the positions after this row
-  std::int64_t step_over_;
-  int apart_;
+  std::int64_t stride_;
+  int spacing_;
   std::int64_t left_;  // steps of this row
 };
 

@@ -13,13 +13,13 @@ ARM_INLINE void bound_commands(const Numbers<S, X>& n, const State<S, X>& x, X* 
     for_each<S::N>([&](auto j) __attribute__((always_inline)) { u[j] = clamp(u[j], n.supply()); });
   } else if constexpr (kWidth<X> == 1 || !Numbers<S, X>::drives_vary) {
     n.for_each_drive([&](const auto& drive, int j) __attribute__((always_inline)) {
-      u[j] = drive.command(input_of(drive, j, x, u[j]), n.supply());
+      u[j] = drive.bound_command(input_of(drive, j, x, u[j]), n.supply());
     });
   } else {
     for (int lane = 0; lane < kWidth<X>; ++lane)
       n.for_each_drive_of(lane, [&](const auto& drive, int j) {
         set_lane(u[j], lane,
-                 drive.command(input_in_lane(drive, j, x, u[j], lane), n.supply_of(lane)));
+                 drive.bound_command(input_in_lane(drive, j, x, u[j], lane), n.supply_of(lane)));
       });
   }
 }

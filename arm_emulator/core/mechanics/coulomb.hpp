@@ -38,10 +38,11 @@ class Coulomb {
   explicit Coulomb(const Numbers<S, X>& numbers) : n_(numbers) {}
 
   // Take the friction at x, in the drives' modes(drive, j, lane), and breakaway torques at
-  // `pulled`, the state of the torque on the joint.
+  // `load_state`, the state of the torque on the joint.
   template <class ModesOf>
-  void take([[maybe_unused]] const State<S, X>& x, [[maybe_unused]] const State<S, X>& pulled,
-            [[maybe_unused]] const X* u, [[maybe_unused]] const ModesOf& modes) {
+  void set_friction([[maybe_unused]] const State<S, X>& x,
+                    [[maybe_unused]] const State<S, X>& load_state, [[maybe_unused]] const X* u,
+                    [[maybe_unused]] const ModesOf& modes) {
     if constexpr (varies) {
       for (int lane = 0; lane < kWidth<X>; ++lane)
         n_.for_each_drive_of(lane, [&](const auto& drive, int j) {
@@ -50,19 +51,20 @@ class Coulomb {
             return drive.with(input_in_lane(drive, j, state, u[j], lane), now);
           };
           const Real v = lane_of(x.v[j], lane);
-          for (int side = 0; side < Taken::sides; ++side) {
+          for (int side = 0; side < FrictionTorques::sides; ++side) {
             // One that slides does so in one direction, and nothing holds it.
             const bool slides = directed && v != 0.0;
             if (slides && side == 1) {
-              set_lane(of_.Dc[1][j], lane, lane_of(of_.Dc[0][j], lane));
+              set_lane(torques_.Dc[1][j], lane, lane_of(torques_.Dc[0][j], lane));
               break;
             }
             const Real sign = slides ? sign_of(v) : side == 0 ? Real{1.0} : Real{-1.0};
-            set_lane(of_.Dc[side][j], lane, drive.sliding(at(x), now.active(), sign));
+            set_lane(torques_.Dc[side][j], lane, drive.sliding(at(x), now.active(), sign));
             if (!slides)
-              set_lane(of_.Ds[side][j], lane, drive.holding(at(pulled), now.active(), sign));
+              set_lane(torques_.Ds[side][j], lane,
+                       drive.holding(at(load_state), now.active(), sign));
           }
-          set_lane(of_.dry[j], lane, drive.is_dry());
+          set_lane(torques_.dry[j], lane, drive.is_dry());
         });
     }
   }
@@ -90,9 +92,9 @@ class Coulomb {
       factors_.factor(W);
       factors_.solve(x);
     } else {
-      begin(v);
-      rest_ = all(holds_all(x));
-      if (rest_) {
+      set_modes(v);
+      all_at_rest_ = all(are_all_holding(x));
+      if (all_at_rest_) {
         for (int j = 0; j < N; ++j) lock_torque_[j] = x[j], x[j] = X{};
         return;
       }
@@ -109,13 +111,13 @@ class Coulomb {
   // The decisions alone. Joints that all slide, or all rest, need no solution for them, nor `mass`,
   // which gives W.
   void decide(auto&& mass, const X* v, X* rhs) {
-    begin(v);
+    set_modes(v);
     Mask<X> slide = X{} == X{};
     for (int j = 0; j < N; ++j) {
       lock_torque_[j] = rhs[j];
       slide &= negated(locked_[j]);
     }
-    if (all(slide | holds_all(rhs))) return;
+    if (all(slide | are_all_holding(rhs))) return;
     auto M = mass();
     solve_apart(M.at, v, rhs);
   }
@@ -129,15 +131,15 @@ class Coulomb {
     X direction[N] = {};
 
     // Whether any joint is locked.
-    bool lock() const {
+    bool has_locked() const {
       Mask<X> result = {};
-      for (const Mask<X>& one : locked) result |= one;
+      for (const Mask<X>& mask : locked) result |= mask;
       return any(result);
     }
     // Whether all joints are locked.
-    bool rest() const {
+    bool are_all_locked() const {
       Mask<X> result = X{} == X{};
-      for (const Mask<X>& one : locked) result &= one;
+      for (const Mask<X>& mask : locked) result &= mask;
       return all(result);
     }
   };
@@ -149,13 +151,13 @@ class Coulomb {
 
   // Solve for x with the modes fixed, whatever torque they take. W may be used up.
   void solve_in(const Modes& modes, Matrix& W, X* x) {
-    rest_ = false;
+    all_at_rest_ = false;
     X rhs[N];
     for (int j = 0; j < N; ++j) {
       locked_[j] = modes.locked[j], direction_[j] = modes.direction[j];
       rhs[j] = x[j];
     }
-    const bool lock = modes.lock();
+    const bool lock = modes.has_locked();
     if constexpr (kWidth<X> == 1)
       if (!lock) {
         factors_.factor(W);
@@ -168,20 +170,20 @@ class Coulomb {
       factor(W);
     for (int j = 0; j < N; ++j) x[j] = rhs[j] - sliding_torque(j);
     solve_again(x);
-    if (lock) put_lock_torques(W, rhs, x);
+    if (lock) set_lock_torques(W, rhs, x);
   }
   // The torques of locks alone, with the modes fixed.
-  void hold_in(const Modes& modes, auto&& mass, X* x) {
-    if (!modes.rest()) {
+  void find_lock_torques(const Modes& modes, auto&& mass, X* x) {
+    if (!modes.are_all_locked()) {
       auto M = mass();
       return solve_in(modes, M.at, x);
     }
     for (int j = 0; j < N; ++j) lock_torque_[j] = x[j];
   }
 
-  // Whether `decide` finds these modes again at the state of the newest `hold_in` with them, of
-  // which v are the speeds. The state alone decides, not the commands.
-  bool confirms(const Modes& modes, const X* v) const {
+  // Whether `decide` finds these modes again at the state of the newest `find_lock_torques` with
+  // them, of which v are the speeds. The state alone decides, not the commands.
+  bool is_confirmed(const Modes& modes, const X* v) const {
     Mask<X> same = X{} == X{};
     for (int j = 0; j < N; ++j) {
       const auto& locked = modes.locked[j];
@@ -194,15 +196,15 @@ class Coulomb {
   }
 
   // Remaining capacity of the lock of joint j, below 0 if it does not hold [N m].
-  ARM_INLINE X spare(int j) const {
+  ARM_INLINE X lock_margin(int j) const {
     return Ds(j, lock_torque_[j]) * (1.0 + kRounding) - magnitude(lock_torque_[j]);
   }
 
   ARM_INLINE void solve_again(X* x) const {
-    if constexpr (present && leaves_out) return factors_.solve(x, is_locked());
+    if constexpr (present && skips_locked) return factors_.solve(x, is_locked());
     if constexpr (present)
       for (int j = 0; j < N; ++j) x[j] = select(locked_[j], X{}, x[j]);
-    if (!rest_) factors_.solve(x);
+    if (!all_at_rest_) factors_.solve(x);
   }
 
   // Torque against the motion of joint j, or of the lock that holds it.
@@ -214,29 +216,29 @@ class Coulomb {
   }
 
   // Stop the joints whose speed has changed sign.
-  ARM_INLINE void stop_at_reversal(X* v) const {
+  ARM_INLINE void stop_reversed(X* v) const {
     if constexpr (present)
       for (int j = 0; j < N; ++j)
-        v[j] = select(where(dry(j), v[j] * direction_[j] <= 0.0), X{}, v[j]);
+        v[j] = select(where(is_dry(j), v[j] * direction_[j] <= 0.0), X{}, v[j]);
   }
 
  private:
   // Set the modes for the speeds v, with every joint at rest locked.
-  ARM_INLINE void begin(const X* v) {
+  ARM_INLINE void set_modes(const X* v) {
     for (int j = 0; j < N; ++j) {
-      direction_[j] = select(where(dry(j), v[j] > 0.0), X{} + 1.0,
-                             select(where(dry(j), v[j] < 0.0), X{} - 1.0, X{}));
-      locked_[j] = where(dry(j), v[j] == 0.0);
+      direction_[j] = select(where(is_dry(j), v[j] > 0.0), X{} + 1.0,
+                             select(where(is_dry(j), v[j] < 0.0), X{} - 1.0, X{}));
+      locked_[j] = where(is_dry(j), v[j] == 0.0);
     }
   }
 
   // Whether factors leave out the locked joints.
-  static constexpr bool leaves_out = std::is_same_v<X, double> && MassPattern<S>::from_the_tip;
+  static constexpr bool skips_locked = std::is_same_v<X, double> && MassPattern<S>::from_the_tip;
   auto is_locked() const {
     return [this](int j) __attribute__((always_inline)) { return locked_[j]; };
   }
   // Whether all joints are locked and hold under these torques.
-  Mask<X> holds_all(const X* torque) const {
+  Mask<X> are_all_holding(const X* torque) const {
     Mask<X> rest = X{} == X{};
     for (int j = 0; j < N; ++j)
       rest &= where(locked_[j], negated(magnitude(torque[j]) > Ds(j, torque[j])));
@@ -245,7 +247,7 @@ class Coulomb {
 
   // M with the rows and columns of the locked joints made those of the identity.
   void factor_unlocked(const Matrix& W) {
-    if constexpr (leaves_out) return factors_.factor(W, is_locked());
+    if constexpr (skips_locked) return factors_.factor(W, is_locked());
     Matrix free = {};
     for (int j = 0; j < N; ++j)
       for (int k = j; k < N; ++k)
@@ -262,11 +264,11 @@ class Coulomb {
   ARM_APART void factor_apart(Matrix& W) { factors_.factor(W); }
 
   // Put the torques of the locks under which the joints accelerate by x.
-  ARM_INLINE void put_lock_torques(const Matrix& W, const X* rhs, const X* x) {
+  ARM_INLINE void set_lock_torques(const Matrix& W, const X* rhs, const X* x) {
     X torque[N];
     for (int j = 0; j < N; ++j) torque[j] = rhs[j];
     for (int k = 0; k < N; ++k) {
-      if constexpr (leaves_out)
+      if constexpr (skips_locked)
         if (locked_[k]) continue;  // and x[k] is 0
       for (int j = 0; j < N; ++j) torque[j] = fma(-(k >= j ? W[j][k] : W[k][j]), x[k], torque[j]);
     }
@@ -300,7 +302,7 @@ class Coulomb {
       const X there = down.x[j] + part * (x[j] - down.x[j]);
       down.x[j] = select(stops, X{}, select(down.broken[j], there, X{}));
       direction_[j] = select(stops, X{}, direction_[j]);
-      locked_[j] = locked_[j] | as_bits(stops);
+      locked_[j] = locked_[j] | as_mask(stops);
     }
     return any(first >= 0.0);
   }
@@ -308,7 +310,7 @@ class Coulomb {
   // Free the joint that is the most overloaded; false if every locked joint holds.
   bool free_joint(const Matrix& W, Descent& down, const X* x) {
     X excess = {}, sign = {}, worst = X{} - 1.0;
-    put_lock_torques(W, down.rhs, x);
+    set_lock_torques(W, down.rhs, x);
     for (int j = 0; j < N; ++j) {
       const X torque = lock_torque_[j];
       const X capacity = select(down.broken[j], X{} + Dc(j, torque), X{} + Ds(j, torque));
@@ -321,8 +323,8 @@ class Coulomb {
     if (!any(worst >= 0.0) || down.rounds++ == kMaxRounds) return false;
     for (int j = 0; j < N; ++j) {
       const auto freed = worst == static_cast<Real>(j);
-      locked_[j] = locked_[j] & ~as_bits(freed);
-      down.broken[j] = down.broken[j] | as_bits(freed);
+      locked_[j] = locked_[j] & ~as_mask(freed);
+      down.broken[j] = down.broken[j] | as_mask(freed);
       direction_[j] = select(freed, sign, direction_[j]);
     }
     return true;
@@ -335,14 +337,14 @@ class Coulomb {
       return ~mask;
   }
   // ~ of a bool is not its opposite.
-  ARM_INLINE static int as_bits(bool mask) { return mask ? -1 : 0; }
+  ARM_INLINE static int as_mask(bool mask) { return mask ? -1 : 0; }
   template <class M>
-  ARM_INLINE static const M& as_bits(const M& mask) {
+  ARM_INLINE static const M& as_mask(const M& mask) {
     return mask;
   }
 
   // Friction torques of a step, if they vary.
-  struct Taken {
+  struct FrictionTorques {
     static constexpr int sides = directed ? 2 : 1;  // forward, and backward if that differs
     X Dc[sides][N] = {}, Ds[sides][N] = {};
     X dry[N] = {};  // 1 where there is a law of dry friction, be its torques 0 just then
@@ -351,37 +353,37 @@ class Coulomb {
   // Friction of joint j that slides, or is pulled, in the direction of `sign`.
   ARM_INLINE auto Dc(int j, [[maybe_unused]] const X& sign) const {
     if constexpr (directed)
-      return select(sign < 0.0, of_.Dc[1][j], of_.Dc[0][j]);
+      return select(sign < 0.0, torques_.Dc[1][j], torques_.Dc[0][j]);
     else if constexpr (varies)
-      return of_.Dc[0][j];
+      return torques_.Dc[0][j];
     else
       return n_.Dc(j);
   }
   ARM_INLINE auto Ds(int j, [[maybe_unused]] const X& sign) const {
     if constexpr (directed)
-      return select(sign < 0.0, of_.Ds[1][j], of_.Ds[0][j]);
+      return select(sign < 0.0, torques_.Ds[1][j], torques_.Ds[0][j]);
     else if constexpr (varies)
-      return of_.Ds[0][j];
+      return torques_.Ds[0][j];
     else
       return n_.Ds(j);
   }
   ARM_INLINE auto sliding_torque(int j) const { return Dc(j, direction_[j]) * direction_[j]; }
 
   // Whether a joint may be locked: whether it has a law of dry friction.
-  ARM_INLINE auto dry(int j) const {
+  ARM_INLINE auto is_dry(int j) const {
     if constexpr (varies)
-      return of_.dry[j] > 0.0;
+      return torques_.dry[j] > 0.0;
     else
       return n_.Dc(j) > 0.0;
   }
 
   const Numbers<S, X>& n_;
-  [[no_unique_address]] std::conditional_t<varies, Taken, Nothing> of_;
+  [[no_unique_address]] std::conditional_t<varies, FrictionTorques, Nothing> torques_;
   MassFactors<S, X> factors_;
   Mask<X> locked_[N] = {};
   X direction_[N] = {};
-  X lock_torque_[N] = {};  // torque of a lock [N m]
-  bool rest_ = false;      // all rest in this step, which has no factors
+  X lock_torque_[N] = {};     // torque of a lock [N m]
+  bool all_at_rest_ = false;  // all rest in this step, which has no factors
 };
 
 }  // namespace arm

@@ -10,8 +10,8 @@
 // extras that act on either (place.hpp). docs/concepts/parts.md lists what a part declares.
 //
 // `linear()` of each part returns a linear part for the matrix A of the schemes: itself if it is
-// linear. The difference is the drive's rest, which enters each stage (linearly_implicit.hpp).
-// Non-smooth behaviour is a mode of its part (mode.hpp).
+// linear. The difference is the drive's nonlinear part, which enters each stage
+// (linearly_implicit.hpp). Non-smooth behaviour is a mode of its part (mode.hpp).
 #pragma once
 
 #include <initializer_list>
@@ -92,11 +92,11 @@ struct Drive {
   template <class X>
   ARM_INLINE constexpr DriveRates<states, X> rates(const Input<X>& x, unsigned active) const {
     DriveRates<states, X> r;
-    const Warmth<X> warmth = warmth_at(x);
-    r.g = -viscous_torque(friction, x.v, warmth);
+    const FrictionFactors<X> factors = friction_factors_at(x);
+    r.g = -viscous_torque(friction, x.v, factors);
     X shaft{};  // torque on the rotor, without its friction and the gear
     if constexpr (driven) {
-      motor.rates(x.z, x.u, motor_angle(x), felt_speed(x), x.offset[0], is_motor_active(active),
+      motor.rates(x.z, x.u, motor_angle(x), voltage_speed(x), x.offset[0], is_motor_active(active),
                   r.f);
       shaft = motor.torque(x.z, motor_angle(x));
     }
@@ -111,75 +111,79 @@ struct Drive {
             r.g += torque;
         });
     if constexpr (elastic) {
-      const X T = gear_on_link(x, active);
+      const X T = gear_torque_on_link(x, active);
       r.f[tm] = x.z[wm];
       if constexpr (Rotor::modes > 0)
-        r.f[wm] = is_active(active, of_rotor) ? -x.z[wm]
-                                              : shaft - on_rotor(x, T) -
-                                                    rotor.against(x.z[wm], on_rotor(x, T), shaft,
-                                                                  x.offset[of_rotor], warmth);
+        r.f[wm] = is_active(active, of_rotor)
+                      ? -x.z[wm]
+                      : shaft - torque_on_rotor(x, T) -
+                            rotor.resisting_torque(x.z[wm], torque_on_rotor(x, T), shaft,
+                                                   x.offset[of_rotor], factors);
       else
-        r.f[wm] = shaft - on_rotor(x, T);
+        r.f[wm] = shaft - torque_on_rotor(x, T);
       r.g += T;
     } else if constexpr (driven) {
-      if constexpr (Rotor::modes > 0) shaft -= viscous_torque(rotor.law, motor_speed(x), warmth);
+      if constexpr (Rotor::modes > 0) shaft -= viscous_torque(rotor.law, motor_speed(x), factors);
       r.g += shaft / gear.Ng;
     }
-    if constexpr (warms) add_heat(x, active, warmth, r.f);
+    if constexpr (depends_on_temperature) add_heat(x, active, factors, r.f);
     return r;
   }
 
   // Whether friction heats an extra that changes it (gear_temperature.hpp), and the factors of
   // that.
-  static constexpr int warming = [] {
+  static constexpr int heated_extra = [] {
     int e = 0, at = -1;
     ((at = ChangesFriction<Extras> ? e : at, ++e), ...);
     return at;
   }();
-  static constexpr bool warms = warming >= 0;
-  static constexpr int warm_state() { return place_of(warming, own, {Extras::states...}); }
+  static constexpr bool depends_on_temperature = heated_extra >= 0;
+  static constexpr int temperature_state() {
+    return index_after(heated_extra, own, {Extras::states...});
+  }
   template <class X>
-  ARM_INLINE constexpr Warmth<X> warmth_at(const Input<X>& x) const {
-    if constexpr (warms)
-      return std::get<warming>(extras).warmth(x.z[warm_state()]);
+  ARM_INLINE constexpr FrictionFactors<X> friction_factors_at(const Input<X>& x) const {
+    if constexpr (depends_on_temperature)
+      return std::get<heated_extra>(extras).compute_factors(x.z[temperature_state()]);
     else
       return {};
   }
   // Power of the friction of link and rotor [W].
   template <class X>
   ARM_INLINE constexpr X friction_power(const Input<X>& x, unsigned active,
-                                        const Warmth<X>& warmth) const {
-    const X T = load_on_link(x, active);
-    X P = viscous_torque(friction, x.v, warmth) * x.v +
+                                        const FrictionFactors<X>& factors) const {
+    const X T = transmitted_torque(x, active);
+    X P = viscous_torque(friction, x.v, factors) * x.v +
           sliding_under(x, T, sign_of(x.v)) * magnitude(x.v);
     if constexpr (elastic && Rotor::modes > 0)
-      P += rotor.dissipated(x.z[wm], on_rotor(x, T), drive_torque(x, active), x.offset[of_rotor],
-                            warmth);
+      P += rotor.dissipated(x.z[wm], torque_on_rotor(x, T), drive_torque(x, active),
+                            x.offset[of_rotor], factors);
     if constexpr (carries_rotor && Rotor::modes > 0)
-      P += viscous_torque(rotor.law, motor_speed(x), warmth) * motor_speed(x);
+      P += viscous_torque(rotor.law, motor_speed(x), factors) * motor_speed(x);
     return P;
   }
   // The temperature of the gear [degC].
   constexpr Real gear_temperature(const Input<Real>& x) const {
-    if constexpr (warms) return std::get<warming>(extras).ambient + x.z[warm_state()];
+    if constexpr (depends_on_temperature)
+      return std::get<heated_extra>(extras).ambient + x.z[temperature_state()];
     return no_number();
   }
 
   static constexpr int extra_count = sizeof...(Extras);
 
-  // Whether the gear's torque beyond that of the linear one is all of `rest`.
-  static constexpr bool only_gear_bends =
+  // Whether the gear's torque beyond that of the linear one is all of `nonlinear_part`.
+  static constexpr bool is_only_gear_nonlinear =
       std::is_same_v<Linear, Drive<Motor, LinearOf<Gear>, LinkFriction, Rotor, Extras...>> &&
       elastic && requires(const Gear& part, Real x) { part.beyond_linear(x, x); };
-  // Whether row k of `rest` may differ from 0; g is row `states`.
-  static constexpr bool bends(int k) {
+  // Whether row k of `nonlinear_part` may differ from 0; g is row `states`.
+  static constexpr bool is_nonlinear(int k) {
     if (driven && k < Motor::states) return !std::is_same_v<LinearOf<Motor>, Motor>;
     return !is_linear && !(elastic && k == tm);
   }
   // Difference between `rates` and those of the linear drive, which may be known.
   template <class X>
-  ARM_INLINE constexpr DriveRates<states, X> rest(const Input<X>& x, unsigned active,
-                                                  const Linear& linear) const {
+  ARM_INLINE constexpr DriveRates<states, X> nonlinear_part(const Input<X>& x, unsigned active,
+                                                            const Linear& linear) const {
     DriveRates<states, X> all = rates(x, active);
     const DriveRates<states, X> of_linear = linear.rates(x, active);
     for (int k = 0; k < states; ++k) all.f[k] -= of_linear.f[k];
@@ -187,15 +191,16 @@ struct Drive {
     return all;
   }
   template <class X>
-  ARM_INLINE constexpr DriveRates<states, X> rest(const Input<X>& x, unsigned active) const {
-    if constexpr (only_gear_bends && !kDifferentiates)
+  ARM_INLINE constexpr DriveRates<states, X> nonlinear_part(const Input<X>& x,
+                                                            unsigned active) const {
+    if constexpr (is_only_gear_nonlinear && !kDifferentiates)
       if (active == 0) {
         DriveRates<states, X> of_gear = {};
         of_gear.g = gear.beyond_linear(x.z[tm], x.q);
-        of_gear.f[wm] = -on_rotor(x, of_gear.g);
+        of_gear.f[wm] = -torque_on_rotor(x, of_gear.g);
         return of_gear;
       }
-    return rest(x, active, linear());
+    return nonlinear_part(x, active, linear());
   }
 
   // Dry friction at the link, with that of a rotor that turns with it. Load friction follows the
@@ -206,7 +211,7 @@ struct Drive {
   static constexpr bool friction_is_directed =
       LinkFriction::directed || (carries_rotor && Rotor::directed);
   // Whether a nonlinear part depends on the motor's states.
-  static constexpr bool bends_motor =
+  static constexpr bool is_motor_nonlinear =
       driven && (!std::is_same_v<LinearOf<Motor>, Motor> || (!elastic && holds_by_load) ||
                  (elastic && Rotor::directed));
   constexpr bool is_dry() const {
@@ -217,36 +222,38 @@ struct Drive {
   // Torque against the link, which slides that `way`: 1 or -1.
   template <class X>
   ARM_INLINE constexpr X sliding(const Input<X>& x, unsigned active, X way) const {
-    return sliding_under(x, load_on_link(x, active), way);
+    return sliding_under(x, transmitted_torque(x, active), way);
   }
   // Sliding torque under the torque T of the gear on its link.
   template <class X>
   ARM_INLINE constexpr X sliding_under(const Input<X>& x, X T, X way) const {
-    X dry = friction.sliding(x.v, on_link<LinkFriction>(x, T, way));
+    X dry = friction.sliding(x.v, make_link_torques<LinkFriction>(x, T, way));
     if constexpr (carries_rotor && Rotor::modes > 0)
-      dry += rotor.law.sliding(motor_speed(x), on_link<Rotor>(x, gear.Ng * T, turn(way))) /
+      dry += rotor.law.sliding(motor_speed(x),
+                               make_link_torques<Rotor>(x, gear.Ng * T, rotor_direction(way))) /
              magnitude(gear.Ng);
     return dry;
   }
   template <class X>
   ARM_INLINE constexpr X holding(const Input<X>& x, unsigned active, X way) const {
-    const X T = load_on_link(x, active);
-    X dry = friction.holding(on_link<LinkFriction>(x, T, way));
+    const X T = transmitted_torque(x, active);
+    X dry = friction.holding(make_link_torques<LinkFriction>(x, T, way));
     if constexpr (carries_rotor && Rotor::modes > 0)
-      dry += rotor.law.holding(on_link<Rotor>(x, gear.Ng * T, turn(way))) / magnitude(gear.Ng);
+      dry += rotor.law.holding(make_link_torques<Rotor>(x, gear.Ng * T, rotor_direction(way))) /
+             magnitude(gear.Ng);
     return dry;
   }
 
   // Put the current [A], the angle [rad] and the speed [rad/s] of the motor into x.
-  constexpr void put_motor(Input<Real>& x, Real current, Real angle, Real speed) const {
-    if constexpr (driven) motor.put_current(x.z, current);
+  constexpr void set_motor(Input<Real>& x, Real current, Real angle, Real speed) const {
+    if constexpr (driven) motor.set_current(x.z, current);
     if constexpr (elastic) x.z[tm] = angle, x.z[wm] = speed;
   }
   // The states behind a link at (q, v): no current, gear unloaded.
-  constexpr Input<Real> at_rest_behind(Real q, Real v) const {
+  constexpr Input<Real> make_rest_state(Real q, Real v) const {
     Input<Real> x = {};
     x.q = q, x.v = v;
-    put_motor(x, 0.0, q / gear.Ng, v / gear.Ng);
+    set_motor(x, 0.0, q / gear.Ng, v / gear.Ng);
     if constexpr (elastic && requires { gear.unload(q, v, x.z[0], x.z[0]); })
       gear.unload(q, v, x.z[tm], x.z[wm]);
     return x;
@@ -270,7 +277,7 @@ struct Drive {
   // Torque of the gear on its link, which accelerates at `a` [N m].
   constexpr Real gear_torque(const Input<Real>& x, Real a) const {
     const Modes now = modes_at(x);
-    return load_on_link(with(x, now), now.active()) - carried() * a;
+    return transmitted_torque(with(x, now), now.active()) - carried() * a;
   }
 
   // Whether extras have potential energy, and whether supplied power grows with the speed.
@@ -280,7 +287,7 @@ struct Drive {
   // Whether the supply alone bounds commands, as voltages; and the command of x in its bounds.
   static constexpr bool bounded_by_supply = Motor::takes == Command::voltage;
   template <class X>
-  ARM_INLINE constexpr X command(const Input<X>& x, Real supply) const {
+  ARM_INLINE constexpr X bound_command(const Input<X>& x, Real supply) const {
     if constexpr (bounded_by_supply)
       return clamp(x.u, supply);
     else
@@ -288,8 +295,8 @@ struct Drive {
   }
 
   // Set a further input of the motor in x, by its number, and return the applied value.
-  constexpr void put_further(int input, Input<Real>& x, Real value, Real supply) const {
-    if constexpr (requires { Motor::further; }) motor.put_further(input, x.z, value, supply);
+  constexpr void set_further_input(int input, Input<Real>& x, Real value, Real supply) const {
+    if constexpr (requires { Motor::further; }) motor.set_further_input(input, x.z, value, supply);
   }
   constexpr Real applied_inputs(int input, const Input<Real>& x) const {
     if constexpr (requires { Motor::further; }) return motor.applied_inputs(input, x.z);
@@ -305,13 +312,14 @@ struct Drive {
   }
 
   // The temperature of the winding [degC], and whether it is beyond its limit (winding.hpp).
-  static constexpr bool heats = requires(Motor motor, const Real* z) { motor.temperature(z); };
+  static constexpr bool has_winding_temperature =
+      requires(Motor motor, const Real* z) { motor.temperature(z); };
   constexpr Real winding_temperature(const Input<Real>& x) const {
-    if constexpr (heats) return motor.temperature(x.z);
+    if constexpr (has_winding_temperature) return motor.temperature(x.z);
     return no_number();
   }
-  constexpr bool too_hot(const Input<Real>& x) const {
-    if constexpr (heats) return motor.too_hot(x.z);
+  constexpr bool is_overheated(const Input<Real>& x) const {
+    if constexpr (has_winding_temperature) return motor.is_overheated(x.z);
     return false;
   }
 
@@ -319,14 +327,14 @@ struct Drive {
   // false, the modes must be determined.
   template <class X>
   ARM_INLINE constexpr Mask<X> is_regular(const Input<X>& x) const {
-    return where(is_ever_regular(), is_regular_where_ever(x));
+    return where(is_ever_regular(), is_regular_if_ever(x));
   }
   // Whether a drive that may be regular surely is at x.
   template <class X>
-  ARM_INLINE constexpr Mask<X> is_regular_where_ever(const Input<X>& x) const {
+  ARM_INLINE constexpr Mask<X> is_regular_if_ever(const Input<X>& x) const {
     Mask<X> regular = X{} == X{};
     if constexpr (may_be_regular && driven && Motor::modes > 0)
-      regular &= motor.is_regular(x.z, x.u, felt_speed(x));
+      regular &= motor.is_regular(x.z, x.u, voltage_speed(x));
     for_each_extra(
         [&]<class Extra>(const Extra& extra, auto state, auto) __attribute__((always_inline)) {
           if constexpr (may_be_regular && Extra::modes > 0)
@@ -342,20 +350,21 @@ struct Drive {
   // The modes that x calls for.
   constexpr Modes modes_at(const Input<Real>& x) const {
     Modes at;
-    if constexpr (driven && Motor::modes > 0) at.at[0] = motor.mode_at(x.z, x.u, felt_speed(x));
-    put_modes_of_state(x, at);
+    if constexpr (driven && Motor::modes > 0) at.at[0] = motor.mode_at(x.z, x.u, voltage_speed(x));
+    set_modes_of_state(x, at);
     if constexpr (elastic && Rotor::modes > 0)
-      at.at[of_rotor] = rotor.mode_at(x.z[wm], shaft(x, at));
+      at.at[of_rotor] = rotor.mode_at(x.z[wm], rotor_torques(x, at));
     return at;
   }
   // The modes for which x calls at the end of a step in `now` from `start`: `now` if they hold.
   constexpr Modes required(const Input<Real>& start, const Input<Real>& x, const Modes& now) const {
     Modes at = now;
     if constexpr (driven && Motor::modes > 0)
-      at.at[0] = motor.required(x.z, x.u, felt_speed(x), now.at[0]);
-    put_modes_of_state(x, at);
+      at.at[0] = motor.required(x.z, x.u, voltage_speed(x), now.at[0]);
+    set_modes_of_state(x, at);
     if constexpr (elastic && Rotor::modes > 0)
-      at.at[of_rotor] = rotor.required(start.z[wm], x.z[wm], shaft(x, now), now.at[of_rotor]);
+      at.at[of_rotor] =
+          rotor.required(start.z[wm], x.z[wm], rotor_torques(x, now), now.at[of_rotor]);
     return at;
   }
   // Distance of x from the next change of mode, negative if a mode no longer holds. (The least of
@@ -366,7 +375,7 @@ struct Drive {
       smallest = margin < smallest ? margin : smallest;
     };
     if constexpr (driven && Motor::modes > 0)
-      lower_to(motor.margin(x.z, x.u, felt_speed(x), now.at[0]));
+      lower_to(motor.margin(x.z, x.u, voltage_speed(x), now.at[0]));
     if constexpr (elastic && Gear::modes > 0)
       lower_to(gear.margin(x.z[tm], x.z[wm], x.q, x.v, now.at[of_gear]));
     for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
@@ -374,28 +383,28 @@ struct Drive {
         lower_to(extra.margin(angle_of(extra, x), speed_of(extra, x), x.z + state, now.at[mode]));
     });
     if constexpr (elastic && Rotor::modes > 0)
-      lower_to(rotor.margin(x.z[wm], shaft(x, now), now.at[of_rotor]));
+      lower_to(rotor.margin(x.z[wm], rotor_torques(x, now), now.at[of_rotor]));
     return smallest;
   }
   // Set x to the values that its modes hold, against rounding.
-  constexpr void settle(Input<Real>& x, const Modes& now) const {
-    if constexpr (driven && Motor::modes > 0) motor.settle(x.z, now.at[0]);
-    if constexpr (elastic && Rotor::modes > 0) rotor.settle(x.z[wm], now.at[of_rotor]);
+  constexpr void enforce_modes(Input<Real>& x, const Modes& now) const {
+    if constexpr (driven && Motor::modes > 0) motor.enforce_modes(x.z, now.at[0]);
+    if constexpr (elastic && Rotor::modes > 0) rotor.enforce_modes(x.z[wm], now.at[of_rotor]);
   }
   // Whether the motor has an algebraic state; it is set to its value.
-  constexpr bool follows_at_once() const {
+  constexpr bool has_algebraic_state() const {
     if constexpr (driven) return motor.inertia(0, false) == 0.0;
     return false;
   }
-  static constexpr bool may_follow = driven && !requires { Motor::never_follows; };
-  constexpr void follow(Input<Real>& x) const {
-    if constexpr (driven) motor.follow(x.z, x.u, felt_speed(x));
+  static constexpr bool can_have_algebraic_state = driven && !requires { Motor::never_algebraic; };
+  constexpr void set_algebraic_state(Input<Real>& x) const {
+    if constexpr (driven) motor.set_algebraic_state(x.z, x.u, voltage_speed(x));
   }
 
   // Whether the gear has states of its own, which follow the twist at the start of each step.
   static constexpr bool has_gear_memory = elastic && requires { Gear::remembers; };
-  constexpr void follow_twist(Input<Real>& x) const {
-    if constexpr (has_gear_memory) gear.follow(x.z[tm], x.q, x.z + wm + 1);
+  constexpr void update_gear_memory(Input<Real>& x) const {
+    if constexpr (has_gear_memory) gear.update_memory(x.z[tm], x.q, x.z + wm + 1);
   }
 
   // x with the numbers of these modes.
@@ -406,7 +415,7 @@ struct Drive {
 
   // Speed in the induced voltage: the rotor's, times the factor of torque ripple.
   template <class X>
-  ARM_INLINE constexpr X felt_speed(const Input<X>& x) const {
+  ARM_INLINE constexpr X voltage_speed(const Input<X>& x) const {
     if constexpr (requires { motor.ripple(x.q); })
       return motor.ripple(motor_angle(x)) * motor_speed(x);
     return motor_speed(x);
@@ -415,7 +424,7 @@ struct Drive {
     return Motor::modes > 0 && is_active(on, 0);
   }
   template <class X>
-  ARM_INLINE constexpr X gear_on_link(const Input<X>& x, unsigned active) const {
+  ARM_INLINE constexpr X gear_torque_on_link(const Input<X>& x, unsigned active) const {
     const X offset = x.offset[Gear::modes > 0 ? of_gear : 0];
     const bool in_mode = is_active(active, of_gear) && Gear::modes > 0;
     if constexpr (has_gear_memory)
@@ -425,16 +434,16 @@ struct Drive {
   }
   // Torque on the rotor from the torque T of an elastic gear on its link.
   template <class X>
-  ARM_INLINE constexpr X on_rotor(const Input<X>& x, X T) const {
-    if constexpr (requires { gear.on_rotor(x.z[0], x.q, T); })
-      return gear.on_rotor(x.z[tm], x.q, T);
+  ARM_INLINE constexpr X torque_on_rotor(const Input<X>& x, X T) const {
+    if constexpr (requires { gear.torque_on_rotor(x.z[0], x.q, T); })
+      return gear.torque_on_rotor(x.z[tm], x.q, T);
     return gear.Ng * T;
   }
   // Torque of the gear on its link; for a rigid gear, the motor's torque.
   template <class X>
-  ARM_INLINE constexpr X load_on_link(const Input<X>& x, unsigned active) const {
+  ARM_INLINE constexpr X transmitted_torque(const Input<X>& x, unsigned active) const {
     if constexpr (elastic)
-      return gear_on_link(x, active);
+      return gear_torque_on_link(x, active);
     else if constexpr (driven)
       return motor.torque(x.z, motor_angle(x)) / gear.Ng;
     return X{};
@@ -474,15 +483,15 @@ struct Drive {
   ARM_INLINE constexpr void for_each_extra(Body&& body) const {
     [&]<int... e>(std::integer_sequence<int, e...>) __attribute__((always_inline)) {
       (body(std::get<e>(extras),
-            std::integral_constant<int, place_of(e, own, {Extras::states...})>{},
-            std::integral_constant<int, place_of(e, of_extras, {Extras::modes...})>{}),
+            std::integral_constant<int, index_after(e, own, {Extras::states...})>{},
+            std::integral_constant<int, index_after(e, of_extras, {Extras::modes...})>{}),
        ...);
     }(std::make_integer_sequence<int, extra_count>{});
   }
 
  private:
   // The modes of gear and extras, which go with the state alone.
-  constexpr void put_modes_of_state(const Input<Real>& x, Modes& at) const {
+  constexpr void set_modes_of_state(const Input<Real>& x, Modes& at) const {
     if constexpr (elastic && Gear::modes > 0)
       at.at[of_gear] = gear.mode_at(x.z[tm], x.z[wm], x.q, x.v);
     for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
@@ -499,44 +508,44 @@ struct Drive {
          part.is_regular(x, x, z);
        }));
 
-  constexpr OnRotor shaft(const Input<Real>& at, const Modes& now) const {
+  constexpr RotorTorques rotor_torques(const Input<Real>& at, const Modes& now) const {
     const Input<Real> x = with(at, now);
     const unsigned active = now.active();
-    OnRotor on = {drive_torque(x, active), on_rotor(x, gear_on_link(x, active)),
-                  kRounding * magnitude(gear.Ng * gear.Kg * x.q), warmth_at(x)};
+    RotorTorques on = {drive_torque(x, active), torque_on_rotor(x, gear_torque_on_link(x, active)),
+                       kRounding * magnitude(gear.Ng * gear.Kg * x.q), friction_factors_at(x)};
     on.torque -= on.of_gear;
     return on;
   }
 
   // The direction of the rotor behind a rigid gear, where the link moves that `way`.
   template <class X>
-  ARM_INLINE constexpr X turn(X way) const {
+  ARM_INLINE constexpr X rotor_direction(X way) const {
     return gear.Ng < 0.0 ? -way : way;
   }
   // Torques for the friction of a link, and of a rotor that turns with it.
   template <class Law, class X>
-  ARM_INLINE constexpr ShaftTorques<X> on_link(const Input<X>& x, X T, X way) const {
-    if constexpr (!Law::directed) return {T, T, X{}, warmth_at(x)};
-    return {way * T, way * T, way * T, warmth_at(x)};
+  ARM_INLINE constexpr ShaftTorques<X> make_link_torques(const Input<X>& x, X T, X way) const {
+    if constexpr (!Law::directed) return {T, T, X{}, friction_factors_at(x)};
+    return {way * T, way * T, way * T, friction_factors_at(x)};
   }
 
   // Adds the heat of friction and of the winding to the rates of temperatures.
   template <class X>
-  ARM_INLINE constexpr void add_heat(const Input<X>& x, unsigned active, const Warmth<X>& warmth,
-                                     X* f) const {
-    const auto& gear_body = std::get<warming>(extras);
-    X P = friction_power(x, active, warmth);
-    if constexpr (heats) {
-      const X flow =
-          gear_body.power_from(motor.winding.ambient + x.z[Motor::rise], x.z[warm_state()]);
+  ARM_INLINE constexpr void add_heat(const Input<X>& x, unsigned active,
+                                     const FrictionFactors<X>& factors, X* f) const {
+    const auto& gear_body = std::get<heated_extra>(extras);
+    X P = friction_power(x, active, factors);
+    if constexpr (has_winding_temperature) {
+      const X flow = gear_body.power_from_winding(motor.winding.ambient + x.z[Motor::rise],
+                                                  x.z[temperature_state()]);
       P += flow;
       f[Motor::rise] -= flow;
     }
-    f[warm_state()] += gear_body.heating(P);
+    f[temperature_state()] += gear_body.temperature_rate(P);
   }
 
   // `first` and the counts of so many extras.
-  static constexpr int place_of(int extras, int first, std::initializer_list<int> counts) {
+  static constexpr int index_after(int extras, int first, std::initializer_list<int> counts) {
     for (const int count : counts)
       if (extras-- > 0) first += count;
     return first;

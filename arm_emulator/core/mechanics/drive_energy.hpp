@@ -9,7 +9,7 @@
 namespace arm {
 
 template <class Drive, int n, int M, class X>
-ARM_INLINE constexpr X stored_in_gear(const Drive& drive, const DriveInput<n, M, X>& x) {
+ARM_INLINE constexpr X compute_gear_energy(const Drive& drive, const DriveInput<n, M, X>& x) {
   if constexpr (Drive::has_gear_memory)
     return drive.gear.stored(x.z[Drive::tm], x.q, x.z + Drive::wm + 1);
   else
@@ -17,11 +17,11 @@ ARM_INLINE constexpr X stored_in_gear(const Drive& drive, const DriveInput<n, M,
 }
 
 template <class Drive, int n, int M, class X>
-ARM_INLINE constexpr X stored_in(const Drive& drive, const DriveInput<n, M, X>& x) {
+ARM_INLINE constexpr X compute_drive_energy(const Drive& drive, const DriveInput<n, M, X>& x) {
   X E = 0.5 * drive.carried() * x.v * x.v;
   if constexpr (Drive::driven) E += drive.motor.stored(x.z);
   if constexpr (Drive::elastic)
-    E += 0.5 * drive.motor.Mm * x.z[Drive::wm] * x.z[Drive::wm] + stored_in_gear(drive, x);
+    E += 0.5 * drive.motor.Mm * x.z[Drive::wm] * x.z[Drive::wm] + compute_gear_energy(drive, x);
   drive.for_each_extra([&](const auto& extra, auto state, auto) __attribute__((always_inline)) {
     E += extra.stored(drive.angle_of(extra, x), x.z + state);
   });
@@ -30,7 +30,7 @@ ARM_INLINE constexpr X stored_in(const Drive& drive, const DriveInput<n, M, X>& 
 
 // Potential energy of extras, which may be negative.
 template <class Drive, int n, int M>
-constexpr Real potential_of(const Drive& drive, const DriveInput<n, M, Real>& x) {
+constexpr Real compute_potential(const Drive& drive, const DriveInput<n, M, Real>& x) {
   Real U = 0.0;
   drive.for_each_extra([&](const auto& extra, auto, auto) {
     if constexpr (HasPotential<std::remove_cvref_t<decltype(extra)>>)
@@ -41,9 +41,10 @@ constexpr Real potential_of(const Drive& drive, const DriveInput<n, M, Real>& x)
 
 // In the given modes, which need not be those of x at the end of a part of a step.
 template <class Drive, int n, int M>
-constexpr Real dissipated_in(const Drive& drive, const DriveInput<n, M, Real>& x, unsigned active) {
+constexpr Real compute_dissipation(const Drive& drive, const DriveInput<n, M, Real>& x,
+                                   unsigned active) {
   constexpr int tm = Drive::tm, wm = Drive::wm;
-  Real P = drive.friction_power(x, active, drive.warmth_at(x));
+  Real P = drive.friction_power(x, active, drive.friction_factors_at(x));
   if constexpr (Drive::driven) P += drive.motor.dissipated(x.z);
   const bool in_mode = Drive::gear_modes > 0 && is_active(active, Drive::of_gear);
   if constexpr (Drive::has_gear_memory)
@@ -58,16 +59,16 @@ constexpr Real dissipated_in(const Drive& drive, const DriveInput<n, M, Real>& x
 }
 
 template <class Drive, int n, int M>
-constexpr Real power_supplied_to(const Drive& drive, const DriveInput<n, M, Real>& x,
-                                 unsigned active) {
+constexpr Real compute_supplied_power(const Drive& drive, const DriveInput<n, M, Real>& x,
+                                      unsigned active) {
   if constexpr (Drive::driven)
-    return drive.motor.supplied(x.z, x.u, drive.motor_angle(x), drive.felt_speed(x),
+    return drive.motor.supplied(x.z, x.u, drive.motor_angle(x), drive.voltage_speed(x),
                                 Drive::is_motor_active(active));
   return 0.0;
 }
 template <class Drive, int n, int M, class X>
-ARM_INLINE constexpr X supply_limit_of(const Drive& drive, const DriveInput<n, M, X>& x) {
-  if constexpr (Drive::driven) return drive.motor.supply_limit(x.z, x.u, drive.felt_speed(x));
+ARM_INLINE constexpr X compute_supply_limit(const Drive& drive, const DriveInput<n, M, X>& x) {
+  if constexpr (Drive::driven) return drive.motor.supply_limit(x.z, x.u, drive.voltage_speed(x));
   return X{};
 }
 

@@ -17,22 +17,23 @@ struct Energy {
   Real total() const { return stored + potential; }
 };
 
-// `greediest`: set to the joint with the most energy, that of its drive and, with M_jj, its link.
+// `largest_joint`: set to the joint with the most energy, that of its drive and, with M_jj, its
+// link.
 template <class S>
 __attribute__((noinline)) Energy energy_of(const Numbers<S>& n, const State<S>& x,
-                                           int* greediest = nullptr) {
+                                           int* largest_joint = nullptr) {
   typename Links<S>::Kinematics k;
   typename Links<S>::MassMatrix M;
-  Links<S>::kinematics(n, x.q, k);
-  Links<S>::mass_matrix(n, k, M);
-  Energy E = {0.0, Links<S>::potential_energy(n, k), 0.0};
+  Links<S>::compute_kinematics(n, x.q, k);
+  Links<S>::compute_mass_matrix(n, k, M);
+  Energy E = {0.0, Links<S>::compute_potential_energy(n, k), 0.0};
   Real most = -1.0;
   n.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
-    const Real own =
-        0.5 * M.at[j][j] * x.v[j] * x.v[j] + stored_in(drive, input_of(drive, j, x, 0.0));
-    E.stored += own;
+    const Real joint_energy = 0.5 * M.at[j][j] * x.v[j] * x.v[j] +
+                              compute_drive_energy(drive, input_of(drive, j, x, 0.0));
+    E.stored += joint_energy;
     if constexpr (Drive::has_potential)
-      E.potential += potential_of(drive, input_of(drive, j, x, 0.0));
+      E.potential += compute_potential(drive, input_of(drive, j, x, 0.0));
     Real Dc = n.Dc(j);
     if constexpr (Drive::friction_varies) {
       const auto at = input_of(drive, j, x, 0.0);
@@ -41,9 +42,9 @@ __attribute__((noinline)) Energy energy_of(const Numbers<S>& n, const State<S>& 
     }
     E.jolt += Dc * Dc / (M.at[j][j] + n.carried(j));
     for (int m = j + 1; m < S::N; ++m) E.stored += x.v[j] * M.at[j][m] * x.v[m];
-    if (greediest && own > most) {
-      most = own;
-      *greediest = j;
+    if (largest_joint && joint_energy > most) {
+      most = joint_energy;
+      *largest_joint = j;
     }
   });
   return E;
@@ -71,42 +72,42 @@ class EnergyBalance {
     X power = {};
     if constexpr (kWidth<X> == 1 || !Numbers<S, X>::drives_vary) {
       n.for_each_drive([&](const auto& drive, int j) __attribute__((always_inline)) {
-        power += supply_limit_of(drive, input_of(drive, j, x, u[j]));
+        power += compute_supply_limit(drive, input_of(drive, j, x, u[j]));
       });
       return power;
     }
     for (int lane = 0; lane < kWidth<X>; ++lane) {
-      Real of_lane = 0.0;
+      Real lane_schedule = 0.0;
       n.for_each_drive_of(lane, [&](const auto& drive, int j) __attribute__((always_inline)) {
-        of_lane += supply_limit_of(drive, input_in_lane(drive, j, x, u[j], lane));
+        lane_schedule += compute_supply_limit(drive, input_in_lane(drive, j, x, u[j], lane));
       });
-      set_lane(power, lane, of_lane);
+      set_lane(power, lane, lane_schedule);
     }
     return power;
   }
 
   // Upper bound of the energy [J]; each step adds the largest power of the motors.
-  Real most() const { return energy_limit_; }
-  void allow(Real E) { energy_limit_ = E; }
+  Real energy_limit() const { return energy_limit_; }
+  void set_energy_limit(Real E) { energy_limit_ = E; }
 
   // Count steps. Returns whether a check is due.
-  bool due_after(int count) {
+  bool is_due_after(int count) {
     steps_ += count;
     if (steps_ < kCheckEvery) return false;
     steps_ = 0;
     return true;
   }
   // Check the state x. Returns -1, or the joint with most of the energy that the scheme created.
-  int broken_by(const Numbers<S>& n, const State<S>& x, Real h) {
-    int greediest = 0;
-    const Energy E = energy_of<S>(n, x, &greediest);
+  int find_violation(const Numbers<S>& n, const State<S>& x, Real h) {
+    int largest_joint = 0;
+    const Energy E = energy_of<S>(n, x, &largest_joint);
     if (E.stored > largest_stored_) largest_stored_ = E.stored;
     const Real gained = E.total() - energy_limit_;
     const Real rounding = kRounding * (1.0 + (E.potential < 0.0 ? -E.potential : E.potential));
     // A joint that stops within a step keeps its friction until the step's end (coulomb.hpp): Dc,
     // for h at most, gives the others at most (Dc h)^2 / (2 M).
     const Real jolt = kStops * E.jolt * h * h;
-    if (gained > kTolerance * largest_stored_ + rounding + jolt) return greediest;
+    if (gained > kTolerance * largest_stored_ + rounding + jolt) return largest_joint;
     if (gained < 0.0) energy_limit_ = E.total();
     return -1;
   }
@@ -127,7 +128,7 @@ class EnergyBalance {
 
   Real energy_limit_ = 0.0;    // J
   Real largest_stored_ = 0.0;  // J
-  std::int64_t steps_ = 0;     // since the last look
+  std::int64_t steps_ = 0;     // since the last check
 };
 
 }  // namespace arm

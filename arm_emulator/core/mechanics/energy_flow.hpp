@@ -26,20 +26,20 @@ struct EnergyFlow {
 
 // The powers at the state x in these modes.
 template <class S>
-EnergyFlow<S> powers_of(const Numbers<S>& n, const State<S>& x, const Real* u,
-                        const Modes<S>& modes) {
+EnergyFlow<S> compute_powers(const Numbers<S>& n, const State<S>& x, const Real* u,
+                             const Modes<S>& modes) {
   EnergyFlow<S> power;
   n.for_each_drive([&](const auto& drive, int j) {
-    const auto now = modes.of(drive, j);
+    const auto now = modes.drive_modes(drive, j);
     const auto at = drive.with(input_of(drive, j, x, u[j]), now);
-    power.supplied[j] = power_supplied_to(drive, at, now.active());
-    power.dissipated[j] = dissipated_in(drive, at, now.active());
+    power.supplied[j] = compute_supplied_power(drive, at, now.active());
+    power.dissipated[j] = compute_dissipation(drive, at, now.active());
   });
   if constexpr (S::external_wrench) {
     typename Links<S>::Kinematics kinematics;
     Real torque[S::N];
-    Links<S>::kinematics(n, x.q, kinematics);
-    Links<S>::external_torques(n, kinematics, torque);
+    Links<S>::compute_kinematics(n, x.q, kinematics);
+    Links<S>::compute_external_torques(n, kinematics, torque);
     for (int j = 0; j < S::N; ++j) power.supplied[j] += torque[j] * x.v[j];
   }
   return power;
@@ -56,13 +56,13 @@ class EnergyMeter {
   explicit EnergyMeter(const Numbers<S>& numbers) : n_(numbers) {}
 
   // A part from x to y, in these modes, t long.
-  void part(State<S> x, State<S> y, const Real* u, const Modes<S>& modes, Real t) {
-    follow_at_once(n_, x, u);
-    follow_at_once(n_, y, u);
-    const State<S> middle = middle_of(x, y, u, modes, t);
-    total.add(powers_of(n_, x, u, modes), t / 6.0);
-    total.add(powers_of(n_, middle, u, modes), 4.0 * t / 6.0);
-    total.add(powers_of(n_, y, u, modes), t / 6.0);
+  void add_part(State<S> x, State<S> y, const Real* u, const Modes<S>& modes, Real t) {
+    set_algebraic_states(n_, x, u);
+    set_algebraic_states(n_, y, u);
+    const State<S> middle = interpolate_middle(x, y, u, modes, t);
+    total.add(compute_powers(n_, x, u, modes), t / 6.0);
+    total.add(compute_powers(n_, middle, u, modes), 4.0 * t / 6.0);
+    total.add(compute_powers(n_, y, u, modes), t / 6.0);
   }
 
   EnergyFlow<S> total;
@@ -70,9 +70,10 @@ class EnergyMeter {
  private:
   const Numbers<S>& n_;
 
-  State<S> middle_of(const State<S>& x, const State<S>& y, const Real* u, const Modes<S>& modes,
-                     Real t) const {
-    const State<S> before = rates_of(x, u, modes), after = rates_of(y, u, modes);
+  State<S> interpolate_middle(const State<S>& x, const State<S>& y, const Real* u,
+                              const Modes<S>& modes, Real t) const {
+    const State<S> before = compute_state_rates(x, u, modes),
+                   after = compute_state_rates(y, u, modes);
     State<S> middle = x;
     const auto put = [t](Real& m, Real x, Real y, Real before, Real after) {
       m = 0.5 * (x + y) + 0.125 * t * (before - after);
@@ -83,14 +84,14 @@ class EnergyMeter {
       put(middle.q[j], x.q[j], y.q[j], before.q[j], after.q[j]);
       put(middle.v[j], x.v[j], y.v[j], before.v[j], after.v[j]);
     }
-    follow_at_once(n_, middle, u);
+    set_algebraic_states(n_, middle, u);
     return middle;
   }
 
   // dx/dt; 0 for algebraic states.
-  State<S> rates_of(const State<S>& x, const Real* u, const Modes<S>& modes) const {
+  State<S> compute_state_rates(const State<S>& x, const Real* u, const Modes<S>& modes) const {
     State<S> rates = {};
-    modes.for_each_rate(
+    modes.for_each_drive_rate(
         x, u, [&](const auto& drive, int j, const auto&, unsigned active, const Real* f, Real a) {
           const auto D = drive.D(active);
           for (int k = 0; k < drive.states; ++k)

@@ -55,14 +55,14 @@ struct LinkMotion {
 // The motions of all links at (q, v) with joint accelerations a; the recursion is that of
 // Links::inverse_dynamics.
 template <class S>
-void link_motions(const Numbers<S>& n, const double* q, const double* v, const double* a,
-                  LinkMotion* motions) {
+void compute_link_motions(const Numbers<S>& n, const double* q, const double* v, const double* a,
+                          LinkMotion* motions) {
   using Tree = LinkTree<S>;
   typename Tree::Kinematics k;
-  Links<S>::kinematics(n, q, k);
+  Links<S>::compute_kinematics(n, q, k);
   [[maybe_unused]] double of_joints[2][S::L];
   if constexpr (kCoupled<S>) {
-    Links<S>::joints(v, of_joints[0]), Links<S>::joints(a, of_joints[1]);
+    Links<S>::map_to_joints(v, of_joints[0]), Links<S>::map_to_joints(a, of_joints[1]);
     v = of_joints[0], a = of_joints[1];
   }
   const LinkMotion base = {{}, {}, -n.gravity()};

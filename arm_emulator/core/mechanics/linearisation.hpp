@@ -51,7 +51,7 @@ class Linearisation {
   // D by state and joint, whether each joint sticks, and how many states its drive has.
   ARM_ONCE void write_structure(Real* out) const {
     n.for_each_drive([&](const auto& drive, int j) {
-      const auto D = drive.D(modes.of(drive, j).active());
+      const auto D = drive.D(modes.drive_modes(drive, j).active());
       for (int k = 0; k < drive.states; ++k) out[k * N + j] = D.f[k];
       out[K * N + j] = modes.friction.locked[j] ? 1.0 : 0.0;
       out[(K + 1) * N + j] = drive.states;
@@ -74,7 +74,7 @@ class Linearisation {
   }
 
   Modes<S> modes_at(State<S> x, const Real* u, bool slides) const {
-    Modes<S> at = Modes<S>::at(n, x, u);
+    Modes<S> at = Modes<S>::find_at(n, x, u);
     if (!slides) return at;
     at.friction = {};
     n.for_each_drive([&]<class Drive>(const Drive&, int j) {
@@ -85,7 +85,7 @@ class Linearisation {
   }
 
   ARM_APART void rates(const State<S>& x, const Real* u, Real* out) const {
-    modes.for_each_rate(
+    modes.for_each_drive_rate(
         x, u, [&](const auto& drive, int j, const auto& at, unsigned, const Real* f, Real a) {
           for (int k = 0; k < K; ++k) out[k * N + j] = k < drive.states ? f[k] : 0.0;
           out[K * N + j] = a;

@@ -27,7 +27,7 @@ class Modes {
   Modes(const Numbers<S>& numbers, const typename Friction::Modes& of_links)
       : friction(of_links), n_(&numbers) {}
 
-  // Modes of the settled state x (see below) with its links' part.
+  // Modes of a state x on which `enforce_modes` has been called, with its links' part.
   Modes(const Numbers<S>& numbers, const State<S>& x, const Real* u, const Dynamics& links)
       : n_(&numbers) {
     n_->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
@@ -37,47 +37,47 @@ class Modes {
     if constexpr (Friction::present) {
       Friction coulomb(*n_);
       Real a[N];
-      torques(x, u, links, a);
-      coulomb.take(x, x, u, of_drives());
-      coulomb.decide([&] { return loaded(links); }, x.v, a);
+      compute_torques(x, u, links, a);
+      coulomb.set_friction(x, x, u, list_drive_modes());
+      coulomb.decide([&] { return compute_loaded_inertia(links); }, x.v, a);
       friction = coulomb.modes();
     }
   }
 
   // Modes of a state x, of which the algebraic states are set first.
-  static Modes at(const Numbers<S>& numbers, State<S>& x, const Real* u) {
+  static Modes find_at(const Numbers<S>& numbers, State<S>& x, const Real* u) {
     Dynamics links;
-    Links<S>::dynamics_apart(numbers, x.q, x.v, links);
-    follow_at_once(numbers, x, u);
+    Links<S>::compute_dynamics_apart(numbers, x.q, x.v, links);
+    set_algebraic_states(numbers, x, u);
     return Modes(numbers, x, u, links);
   }
 
   // Modes of the drive of joint j alone.
   template <class Drive>
-  DriveModes<Drive::modes> of(const Drive&, int j) const {
+  DriveModes<Drive::modes> drive_modes(const Drive&, int j) const {
     return resized<Drive::modes>(drive[j]);
   }
 
   // The links' accelerations at x.
-  void accelerations(const State<S>& x, const Real* u, const Dynamics& links, Real (&a)[N],
-                     Friction& coulomb) const {
-    torques(x, u, links, a);
-    coulomb.take(x, x, u, of_drives());
-    auto M = loaded(links);
+  void compute_accelerations(const State<S>& x, const Real* u, const Dynamics& links, Real (&a)[N],
+                             Friction& coulomb) const {
+    compute_torques(x, u, links, a);
+    coulomb.set_friction(x, x, u, list_drive_modes());
+    auto M = compute_loaded_inertia(links);
     coulomb.solve_in(friction, M.at, a);
   }
 
   // body(drive, j, its inputs, its held parts, D dz/dt, the link's acceleration) of each joint at
   // x.
   template <class Body>
-  void for_each_rate(const State<S>& x, const Real* u, Body&& body) const {
+  void for_each_drive_rate(const State<S>& x, const Real* u, Body&& body) const {
     Dynamics links;
-    Links<S>::dynamics_apart(*n_, x.q, x.v, links);
+    Links<S>::compute_dynamics_apart(*n_, x.q, x.v, links);
     Real a[N];
     Friction coulomb(*n_);
-    accelerations(x, u, links, a, coulomb);
+    compute_accelerations(x, u, links, a, coulomb);
     n_->for_each_drive([&](const auto& drive, int j) {
-      const auto now = of(drive, j);
+      const auto now = drive_modes(drive, j);
       const auto at = drive.with(input_of(drive, j, x, u[j]), now);
       body(drive, j, at, now.active(), drive.rates(at, now.active()).f, a[j]);
     });
@@ -100,55 +100,56 @@ class Modes {
       if (Friction::present && friction.direction[j] != 0.0)
         lower_to(j, x.v[j] * friction.direction[j]);
       if constexpr (Drive::modes > 0)
-        lower_to(N + j, drive.margin(input_of(drive, j, x, u[j]), of(drive, j)));
+        lower_to(N + j, drive.margin(input_of(drive, j, x, u[j]), drive_modes(drive, j)));
     });
-    if (smallest < 0.0 || !Friction::present || !friction.lock()) return smallest;
+    if (smallest < 0.0 || !Friction::present || !friction.has_locked()) return smallest;
     Friction coulomb(*n_);
-    hold(x, u, memo.at(*n_, x), coulomb);
+    find_lock_torques(x, u, memo.find_at(*n_, x), coulomb);
     for (int j = 0; j < N; ++j)
-      if (friction.locked[j]) lower_to(2 * N + j, coulomb.spare(j));
+      if (friction.locked[j]) lower_to(2 * N + j, coulomb.lock_margin(j));
     return smallest;
   }
 
   // Find the torques of the locks at x.
-  void hold(const State<S>& x, const Real* u, const Dynamics& links, Friction& coulomb) const {
+  void find_lock_torques(const State<S>& x, const Real* u, const Dynamics& links,
+                         Friction& coulomb) const {
     Real a[N];
-    torques(x, u, links, a);
-    coulomb.take(x, x, u, of_drives());
-    coulomb.hold_in(friction, [&] { return loaded(links); }, a);
+    compute_torques(x, u, links, a);
+    coulomb.set_friction(x, x, u, list_drive_modes());
+    coulomb.find_lock_torques(friction, [&] { return compute_loaded_inertia(links); }, a);
   }
 
   // Set x to the values that its modes hold: stopped joints rest, a current is within its limit, a
   // current without inductance follows the voltage.
-  void settle(State<S>& x, const Real* u) const {
+  void enforce_modes(State<S>& x, const Real* u) const {
     n_->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if (friction.locked[j] || x.v[j] * friction.direction[j] < 0.0) x.v[j] = 0.0;
       if constexpr (Drive::modes > 0) {
         auto at = input_of(drive, j, x, u[j]);
-        drive.settle(at, of(drive, j));
-        put_states(drive, j, 0, at, x);
+        drive.enforce_modes(at, drive_modes(drive, j));
+        store_states(drive, j, 0, at, x);
       }
     });
-    follow_at_once(*n_, x, u);
+    set_algebraic_states(*n_, x, u);
   }
 
  private:
   const Numbers<S>* n_;
 
-  auto of_drives() const {
-    return [&](const auto& drive, int j, int) { return of(drive, j); };
+  auto list_drive_modes() const {
+    return [&](const auto& drive, int j, int) { return drive_modes(drive, j); };
   }
 
   // M with the rotors that the links carry.
-  auto loaded(const Dynamics& links) const {
+  auto compute_loaded_inertia(const Dynamics& links) const {
     auto M = links.M;
     n_->for_each_drive([&](const auto& drive, int j) { M.at[j][j] += drive.carried(); });
     return M;
   }
   // Torques that accelerate the links, without dry friction.
-  void torques(const State<S>& x, const Real* u, const Dynamics& links, Real* rhs) const {
+  void compute_torques(const State<S>& x, const Real* u, const Dynamics& links, Real* rhs) const {
     n_->for_each_drive([&](const auto& drive, int j) __attribute__((always_inline)) {
-      const auto modes = of(drive, j);
+      const auto modes = drive_modes(drive, j);
       const auto at = drive.with(input_of(drive, j, x, u[j]), modes);
       rhs[j] = drive.rates(at, modes.active()).g - links.nle[j];
     });
@@ -157,6 +158,6 @@ class Modes {
 
 // Whether steps are cut where a mode changes.
 template <class S>
-inline constexpr bool kLocates = S::events == Events::located && Modes<S>::present;
+inline constexpr bool kLocatesEvents = S::events == Events::located && Modes<S>::present;
 
 }  // namespace arm

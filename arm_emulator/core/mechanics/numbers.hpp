@@ -20,7 +20,7 @@ struct Nothing {};
 
 // The links' places at some values of the varied numbers, where they vary.
 template <class S>
-constexpr auto places_of([[maybe_unused]] const Real* p) {
+constexpr auto find_places([[maybe_unused]] const Real* p) {
   if constexpr (kPlacesVary<S>)
     return S::places(p);
   else
@@ -29,17 +29,17 @@ constexpr auto places_of([[maybe_unused]] const Real* p) {
 
 // All numbers that follow from the varied ones.
 template <class S>
-struct Sheet {
+struct DerivedNumbers {
   decltype(S::drives(nullptr)) drives;
-  [[no_unique_address]] decltype(places_of<S>(nullptr)) places;
+  [[no_unique_address]] decltype(find_places<S>(nullptr)) places;
   BaseParameters<S> base;
   Real carried[S::N] = {};  // inertia of the rotors that turn with their links, at the links
   Real Dc[S::N] = {}, Ds[S::N] = {};
   Vec3<Real> gravity = S::gravity;
   Real supply = S::supply_voltage;
 
-  constexpr explicit Sheet(const Real* p)
-      : drives(S::drives(p)), places(places_of<S>(p)), base(base_parameters_of(p)) {
+  constexpr explicit DerivedNumbers(const Real* p)
+      : drives(S::drives(p)), places(find_places<S>(p)), base(base_parameters_of(p)) {
     [&]<int... j>(std::integer_sequence<int, j...>) {
       (set(j, std::get<j>(drives)), ...);
     }(std::make_integer_sequence<int, S::N>{});
@@ -56,19 +56,19 @@ struct Sheet {
   }
   constexpr void set(int j, const auto& drive) {
     carried[j] = drive.carried();
-    Dc[j] = drive.sliding(drive.at_rest_behind(0.0, 0.0), 0, Real{1.0});
-    Ds[j] = drive.holding(drive.at_rest_behind(0.0, 0.0), 0, Real{1.0});
+    Dc[j] = drive.sliding(drive.make_rest_state(0.0, 0.0), 0, Real{1.0});
+    Ds[j] = drive.holding(drive.make_rest_state(0.0, 0.0), 0, Real{1.0});
   }
 };
 
 // The numbers at some values of the varied ones, one of them changed; -1: none. All brakes are
 // open.
 template <class S>
-constexpr Sheet<S> sheet_with(int changed) {
+constexpr DerivedNumbers<S> derive_numbers_with(int changed) {
   SomeValues<S> values;
   for (int k = S::parameters; k < kOwnNumbers<S>; ++k) values.p[k] = 0.0;
   if (changed >= 0) values.p[changed] *= 1.5;
-  return Sheet<S>(values.p);
+  return DerivedNumbers<S>(values.p);
 }
 
 // A mask of the numbers of the links that depend on varied ones.
@@ -77,9 +77,9 @@ struct VariedBodies {
   Body<bool> at[S::L] = {};
 
   constexpr VariedBodies() {
-    const Sheet<S> nominal = sheet_with<S>(-1);
+    const DerivedNumbers<S> nominal = derive_numbers_with<S>(-1);
     for (int k = 0; k < S::parameters; ++k) {
-      const Sheet<S> perturbed = sheet_with<S>(k);
+      const DerivedNumbers<S> perturbed = derive_numbers_with<S>(k);
       for (int j = 0; j < S::L; ++j)
         for_each_number_of([](bool& varied, const Real& a, const Real& b) { varied |= a != b; },
                            at[j], nominal.base.body[j], perturbed.base.body[j]);
@@ -90,7 +90,7 @@ struct VariedBodies {
 // The constants of a scene, and which of its links' base parameters a varied number reaches.
 template <class S>
 struct Constants {
-  static constexpr Sheet<S> sheet = sheet_with<S>(-1);
+  static constexpr DerivedNumbers<S> derived = derive_numbers_with<S>(-1);
   static constexpr VariedBodies<S> varied = {};
 
   // A link of which `own` has what may vary.
@@ -101,7 +101,7 @@ struct Constants {
         [](X& number, const bool& varies, const Real& constant) __attribute__((always_inline)) {
           if (!varies) number = X{} + constant;
         },
-        body, varied.at[i], sheet.base.body[i]);
+        body, varied.at[i], derived.base.body[i]);
     return body;
   }
 };
@@ -109,21 +109,21 @@ struct Constants {
 // A drive as lanes know it: its link's dry friction, if that is a torque or two, stands in rows of
 // `Numbers`.
 template <class Drive>
-constexpr Drive in_lanes(Drive drive) {
+constexpr Drive without_link_friction(Drive drive) {
   if constexpr (!decltype(drive.friction)::varies)
     drive.friction = drive.friction.without_torques();
   return drive;
 }
-// Whether machines side by side need drives of their own: whether a varied number changes a drive
+// Whether machines in lanes need drives of their own: whether a varied number changes a drive
 // as lanes know it. A number of a drive is linear in each varied one, so two values show it.
 template <class S>
 constexpr bool drives_vary() {
   const auto same = [](const auto& left, const auto& right) {
-    return in_lanes(left) == in_lanes(right);
+    return without_link_friction(left) == without_link_friction(right);
   };
-  const Sheet<S> before = sheet_with<S>(-1);
+  const DerivedNumbers<S> before = derive_numbers_with<S>(-1);
   for (int k = 0; k < S::parameters; ++k) {
-    const Sheet<S> after = sheet_with<S>(k);
+    const DerivedNumbers<S> after = derive_numbers_with<S>(k);
     const bool all = [&]<int... j>(std::integer_sequence<int, j...>) {
       return (true && ... && same(std::get<j>(before.drives), std::get<j>(after.drives)));
     }(std::make_integer_sequence<int, S::N>{});
@@ -138,9 +138,9 @@ struct ChangedDrives {
   bool at[S::parameters + 1][S::N] = {};
 
   ChangedDrives() {
-    const Sheet<S> before = sheet_with<S>(-1);
+    const DerivedNumbers<S> before = derive_numbers_with<S>(-1);
     for (int k = 0; k < S::parameters; ++k) {
-      const Sheet<S> after = sheet_with<S>(k);
+      const DerivedNumbers<S> after = derive_numbers_with<S>(k);
       [&]<int... j>(std::integer_sequence<int, j...>) {
         ((at[k][j] = !(std::get<j>(before.drives) == std::get<j>(after.drives))), ...);
       }(std::make_integer_sequence<int, S::N>{});
@@ -160,10 +160,10 @@ class Numbers<S, Real> {
   using Number = Real;
 
   // `values`: of the varied numbers; the brakes are open.
-  constexpr explicit Numbers(const Real* values) : p_(values), sheet_(p_.p) {}
+  constexpr explicit Numbers(const Real* values) : p_(values), derived_(p_.p) {}
 
   Real value(int k) const { return p_.p[k]; }
-  bool brakes_open() const {
+  bool are_brakes_open() const {
     bool open = true;
     for (int k = S::parameters; k < kOwnNumbers<S>; ++k) open = open && p_.p[k] == 0.0;
     return open;
@@ -171,20 +171,20 @@ class Numbers<S, Real> {
   // Set a varied number; the caller has checked its bounds.
   void set(int k, Real value) {
     p_.p[k] = value;
-    sheet_ = Sheet<S>(p_.p);
+    derived_ = DerivedNumbers<S>(p_.p);
   }
   // All of them, without the brakes.
   void set_all(const Real* values) {
     for (int k = 0; k < S::parameters; ++k) p_.p[k] = values[k];
-    sheet_ = Sheet<S>(p_.p);
+    derived_ = DerivedNumbers<S>(p_.p);
   }
 
-  ARM_INLINE constexpr const auto& drives() const { return now().drives; }
+  ARM_INLINE constexpr const auto& drives() const { return derived().drives; }
   // body(drive, j) for the drive of every joint.
   template <class TheBody>
   ARM_INLINE constexpr void for_each_drive(TheBody&& body) const {
     [&]<int... j>(std::integer_sequence<int, j...>) __attribute__((always_inline)) {
-      (body(std::get<j>(now().drives), j), ...);
+      (body(std::get<j>(derived().drives), j), ...);
     }(std::make_integer_sequence<int, N>{});
   }
   // body(drive, j) for the drives of one lane, of which there is one.
@@ -197,15 +197,15 @@ class Numbers<S, Real> {
   template <class Index>
   ARM_INLINE constexpr Body<Real> body(Index i) const {
     if constexpr (varied)
-      return Constants<S>::body(i, sheet_.base.body[i]);
+      return Constants<S>::body(i, derived_.base.body[i]);
     else
-      return Constants<S>::sheet.base.body[i];
+      return Constants<S>::derived.base.body[i];
   }
-  constexpr const Body<Real>& fixed() const { return now().base.fixed; }
+  constexpr const Body<Real>& fixed() const { return derived().base.fixed; }
   template <class Index>
   ARM_INLINE constexpr const auto& place(Index i) const {
     if constexpr (kPlacesVary<S>)
-      return sheet_.places.at[i];
+      return derived_.places.at[i];
     else
       return kLinks<S>.at[i];
   }
@@ -218,27 +218,27 @@ class Numbers<S, Real> {
   // In the base's frame [m/s2].
   ARM_INLINE constexpr const Vec3<Real>& gravity() const {
     if constexpr (kFieldVaries<S>)
-      return sheet_.gravity;
+      return derived_.gravity;
     else
       return S::gravity;
   }
   ARM_INLINE constexpr Real supply() const {
     if constexpr (kSupplyVaries<S>)
-      return sheet_.supply;
+      return derived_.supply;
     else
       return S::supply_voltage;
   }
 
-  ARM_INLINE constexpr Real carried(int j) const { return now().carried[j]; }
-  ARM_INLINE constexpr Real Dc(int j) const { return now().Dc[j]; }
-  ARM_INLINE constexpr Real Ds(int j) const { return now().Ds[j]; }
+  ARM_INLINE constexpr Real carried(int j) const { return derived().carried[j]; }
+  ARM_INLINE constexpr Real Dc(int j) const { return derived().Dc[j]; }
+  ARM_INLINE constexpr Real Ds(int j) const { return derived().Ds[j]; }
 
  private:
-  ARM_INLINE constexpr const Sheet<S>& now() const {
+  ARM_INLINE constexpr const DerivedNumbers<S>& derived() const {
     if constexpr (varied)
-      return sheet_;
+      return derived_;
     else
-      return Constants<S>::sheet;
+      return Constants<S>::derived;
   }
 
   struct Values {
@@ -249,12 +249,12 @@ class Numbers<S, Real> {
   };
 
   Values p_;
-  Sheet<S> sheet_;
+  DerivedNumbers<S> derived_;
   ExternalWrenches<S, Real> outside_;
 };
 
-// Numbers of machines side by side, one in each lane. A number that is not varied is the same for
-// all, as with the brakes open: a machine with a closed one takes its steps alone
+// Numbers of machines in lanes, one in each. A number that is not varied is the same for
+// all, as with the brakes open: a machine with a closed one takes its steps by its machine
 // (lane_stepper.hpp).
 template <class S, class X>
 class Numbers {
@@ -271,8 +271,8 @@ class Numbers {
 
   // `machine` must stay where it is.
   void set(int lane, const Numbers<S>& machine) {
-    of_[lane] = &machine;
-    open_[lane] = machine.brakes_open() ? -1 : 0;
+    machines_[lane] = &machine;
+    open_[lane] = machine.are_brakes_open() ? -1 : 0;
     if constexpr (varied) {
       for (int j = 0; j < S::L; ++j) {
         const Body<Real> from = machine.body(j);
@@ -302,26 +302,26 @@ class Numbers {
     requires(!drives_vary)
   {
     [&]<int... j>(std::integer_sequence<int, j...>) __attribute__((always_inline)) {
-      (body(std::get<j>(Constants<S>::sheet.drives), j), ...);
+      (body(std::get<j>(Constants<S>::derived.drives), j), ...);
     }(std::make_integer_sequence<int, N>{});
   }
   // body(drive, j) for the drives of one lane.
   template <class TheBody>
   ARM_INLINE constexpr void for_each_drive_of([[maybe_unused]] int lane, TheBody&& body) const {
     if constexpr (drives_vary)
-      of_[lane]->for_each_drive(body);
+      machines_[lane]->for_each_drive(body);
     else
       for_each_drive(body);
   }
   // Where no brake is closed.
-  const Mask<X>& brakes_open() const { return open_; }
+  const Mask<X>& are_brakes_open() const { return open_; }
 
   template <class Index>
   ARM_INLINE constexpr Body<Number> body(Index i) const {
     if constexpr (varied)
       return Constants<S>::body(i, bodies_[i]);
     else
-      return Constants<S>::sheet.base.body[i];
+      return Constants<S>::derived.base.body[i];
   }
 
   template <class Index>
@@ -358,23 +358,30 @@ class Numbers {
     else
       return S::supply_voltage;
   }
-  Real supply_of(int lane) const { return of_[lane]->supply(); }
+  Real supply_of(int lane) const { return machines_[lane]->supply(); }
 
-  ARM_INLINE constexpr Number carried(int j) const { return number(rotor_, j, &Sheet<S>::carried); }
-  ARM_INLINE constexpr Number Dc(int j) const { return number(coulomb_, j, &Sheet<S>::Dc); }
-  ARM_INLINE constexpr Number Ds(int j) const { return number(breakaway_, j, &Sheet<S>::Ds); }
+  ARM_INLINE constexpr Number carried(int j) const {
+    return number(rotor_, j, &DerivedNumbers<S>::carried);
+  }
+  ARM_INLINE constexpr Number Dc(int j) const {
+    return number(coulomb_, j, &DerivedNumbers<S>::Dc);
+  }
+  ARM_INLINE constexpr Number Ds(int j) const {
+    return number(breakaway_, j, &DerivedNumbers<S>::Ds);
+  }
 
  private:
   using Row = Number[varied ? N : 1];
 
-  ARM_INLINE static constexpr Number number(const Row& own, int j, Real (Sheet<S>::*row)[N]) {
+  ARM_INLINE static constexpr Number number(const Row& own, int j,
+                                            Real (DerivedNumbers<S>::*row)[N]) {
     if constexpr (varied)
       return own[j];
     else
-      return (Constants<S>::sheet.*row)[j];
+      return (Constants<S>::derived.*row)[j];
   }
 
-  const Numbers<S>* of_[width] = {};
+  const Numbers<S>* machines_[width] = {};
   Mask<X> open_ = {};
   Body<Number> bodies_[varied ? S::L : 1] = {};
   [[no_unique_address]] std::conditional_t<kPlacesVary<S>, LinkPlaces<S::L, X>, Nothing> places_ =

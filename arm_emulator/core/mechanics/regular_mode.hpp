@@ -27,7 +27,7 @@ ARM_INLINE Mask<X> is_regular(const Numbers<S, X>& n, const State<S, X>& x, cons
 template <class S>
 constexpr bool is_ever_regular() {
   return std::apply([](const auto&... drive) { return (true && ... && drive.is_ever_regular()); },
-                    Constants<S>::sheet.drives);
+                    Constants<S>::derived.drives);
 }
 
 }  // namespace arm

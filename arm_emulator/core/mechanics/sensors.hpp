@@ -41,7 +41,7 @@ struct SensorInput {
 };
 
 // Sensors of one quantity, one per joint. Sensors of a field that is always measured read it
-// unspoiled where a joint has none.
+// without errors where a joint has none.
 template <class Measured, int N>
 struct AnalogRow {
   using Quantity = Measured;
@@ -49,7 +49,7 @@ struct AnalogRow {
   int first = 0, stride = 0;  // noise stream of joint j: first + stride j
   AnalogSensor at[N];
 
-  constexpr bool reads(int j) const { return always || at[j].present; }
+  constexpr bool has_reading(int j) const { return always || at[j].present; }
 };
 
 // Sensors of a scene. The motor's encoder is always present.
@@ -98,9 +98,9 @@ class Sensors {
   static constexpr int M = 0;
 
   template <class Machine>
-  void begin(const Machine&, std::int64_t, bool) {}
+  void restart(const Machine&, std::int64_t, bool) {}
   template <class Machine>
-  void look(const Machine&, std::int64_t) {}
+  void measure(const Machine&, std::int64_t) {}
   template <class Number>
   void for_each_number(Number&&) {}
 };
@@ -115,32 +115,32 @@ class Sensors<S> {
   using Readings = SensorReadings<N, M, K>;
 
   // Start at the machine's state at a tick, as if it had always rested there; with no missed counts
-  // if `anew`.
+  // if `resets`.
   template <class Machine>
-  void begin(const Machine& machine, std::int64_t tick, bool anew) {
-    if (anew) drifted_ = {};
-    see(machine, tick, false,
-        [&](EncoderMemory& memory, const Encoder& e, double theta, const Noise& n) {
-          memory.begin(e, theta, n, tick, anew);
-        });
-    for (Readings& one : line_) one = line_[place(0)];
+  void restart(const Machine& machine, std::int64_t tick, bool resets) {
+    if (resets) drifted_ = {};
+    measure_at_tick(machine, tick, false,
+                    [&](EncoderMemory& memory, const Encoder& e, double theta, const Noise& n) {
+                      memory.restart(e, theta, n, tick, resets);
+                    });
+    for (Readings& readings : line_) readings = line_[find_slot(0)];
   }
 
   // Measure if the machine has reached another tick.
   template <class Machine>
-  void look(const Machine& machine, std::int64_t tick) {
+  void measure(const Machine& machine, std::int64_t tick) {
     if (tick == newest_) return;
-    see(machine, tick, true,
-        [&](EncoderMemory& memory, const Encoder& e, double theta, const Noise& n) {
-          memory.look(e, theta, n, tick);
-        });
+    measure_at_tick(machine, tick, true,
+                    [&](EncoderMemory& memory, const Encoder& e, double theta, const Noise& n) {
+                      memory.measure(e, theta, n, tick);
+                    });
   }
 
   const EncoderReading& encoder(int j) const {
-    return line_[place(structure.encoder[j].delay)].encoder[j];
+    return line_[find_slot(structure.encoder[j].delay)].encoder[j];
   }
   const EncoderReading& link_encoder(int j) const {
-    return line_[place(structure.link_encoder[j].delay)].link_encoder[j];
+    return line_[find_slot(structure.link_encoder[j].delay)].link_encoder[j];
   }
   // body(quantity, its readings by joint) for every kind of analog sensor.
   template <class Body>
@@ -148,10 +148,10 @@ class Sensors<S> {
     for_each_kind([&]<int k>(std::integral_constant<int, k>) {
       constexpr const auto& row = std::get<k>(structure.analog);
       body(typename std::tuple_element_t<k, Rows>::Quantity{},
-           [&](int j) { return line_[place(row.at[j].delay)].analog[k][j]; });
+           [&](int j) { return line_[find_slot(row.at[j].delay)].analog[k][j]; });
     });
   }
-  const ImuReading& imu(int m) const { return line_[place(structure.imu[m].delay)].imu[m]; }
+  const ImuReading& imu(int m) const { return line_[find_slot(structure.imu[m].delay)].imu[m]; }
 
   // number(x) for all that they remember, in a fixed order.
   template <class Number>
@@ -161,9 +161,9 @@ class Sensors<S> {
       motor_disc_[j].for_each_number(number);
       link_disc_[j].for_each_number(number);
     }
-    for (Readings& one : line_) one.for_each_number(number);
+    for (Readings& readings : line_) readings.for_each_number(number);
     for (auto& row : drifted_.analog)
-      for (double& one : row) number(one);
+      for (double& value : row) number(value);
     for (int k = 0; k < 6 * M; ++k) number(drifted_.imu[k]);
   }
 
@@ -180,27 +180,27 @@ class Sensors<S> {
   static constexpr int kChannels = 4;  // of a joint, two of them its encoders
 
   // Index of the readings of that many ticks ago.
-  int place(int ago) const {
+  int find_slot(int ago) const {
     const std::int64_t tick = newest_ + kLength - ago;
     return static_cast<int>(tick % kLength);
   }
 
   template <class Machine, class Turn>
-  __attribute__((noinline)) void see(const Machine& machine, std::int64_t tick, bool looks_back,
-                                     Turn&& turn) {
+  __attribute__((noinline)) void measure_at_tick(const Machine& machine, std::int64_t tick,
+                                                 bool has_past, Turn&& turn) {
     double values[S::parameters + 1] = {};
     for (int k = 0; k < S::parameters; ++k) values[k] = machine.parameter(k);
     auto suite = S::sensors(values);
-    const auto noises = [&](int who) { return Noise::of(suite.seed, who); };
+    const auto noises = [&](int who) { return Noise::make_stream(suite.seed, who); };
     double current[N], angle[N], speed[N];
-    machine.report(current, angle, speed);
+    machine.get_motor_signals(current, angle, speed);
     const SensorInput<Machine> input = {machine, current, angle, speed};
     const auto& x = machine.state();
     // Since the tick before, in which the machine has gone on.
-    const double period = looks_back ? machine.time() / static_cast<double>(tick) : 0.0;
+    const double period = has_past ? machine.time() / static_cast<double>(tick) : 0.0;
     newest_ = tick;
-    Readings& now = line_[place(0)];
-    const Readings& before = line_[place(kLength > 1 ? 1 : 0)];
+    Readings& now = line_[find_slot(0)];
+    const Readings& before = line_[find_slot(kLength > 1 ? 1 : 0)];
     for (int j = 0; j < N; ++j) {
       const int who = kChannels * j;
       turn(motor_disc_[j], suite.encoder[j], angle[j], noises(who));
@@ -215,20 +215,20 @@ class Sensors<S> {
       double truth[N];
       std::tuple_element_t<k, Rows>::Quantity::of(input, truth);
       for (int j = 0; j < N; ++j)
-        if (row.reads(j)) {
+        if (row.has_reading(j)) {
           AnalogSensor& sensor = std::get<k>(suite.analog).at[j];
           drift(sensor, drifted_.analog[k][j], period);
           const Noise draws = noises(row.first + row.stride * j);
-          now.analog[k][j] = looks_back && repeats_reading(sensor.held, draws, tick)
+          now.analog[k][j] = has_past && repeats_reading(sensor.held, draws, tick)
                                  ? before.analog[k][j]
                                  : sensor.read(truth[j], draws, tick);
         }
     });
     if constexpr (M > 0) {
       double a[N];
-      machine.accelerations(a);
+      machine.compute_accelerations(a);
       LinkMotion motions[S::L];
-      link_motions(machine.numbers_now(), x.q, x.v, a, motions);
+      compute_link_motions(machine.numbers(), x.q, x.v, a, motions);
       for (int m = 0; m < M; ++m) {
         Imu& imu = suite.imu[m];
         for (int k = 0; k < 6; ++k)
@@ -238,7 +238,7 @@ class Sensors<S> {
         const auto of_channel = [&](int k) { return noises(-2 - 6 * m - k); };
         const ImuReading previous = before.imu[m];
         now.imu[m] = imu.read(motion.force_at(imu.p), motion.omega, of_channel, tick);
-        for (int k = 0; looks_back && k < 3; ++k) {
+        for (int k = 0; has_past && k < 3; ++k) {
           if (repeats_reading(imu.accelerometer[k].held, of_channel(k), tick))
             now.imu[m].specific_force[k] = previous.specific_force[k];
           if (repeats_reading(imu.gyroscope[k].held, of_channel(3 + k), tick))

@@ -47,8 +47,8 @@ ARM_INLINE constexpr auto input_of(const Drive&, int j, const State<S, X>& x,
 
 // Take over what the drive of joint j has made of its states, in one lane.
 template <class Drive, class S, class X>
-constexpr void put_states(const Drive&, int j, int lane,
-                          const typename Drive::template Input<Real>& from, State<S, X>& x) {
+constexpr void store_states(const Drive&, int j, int lane,
+                            const typename Drive::template Input<Real>& from, State<S, X>& x) {
   for (int k = 0; k < Drive::states; ++k) set_lane(x.z[k][j], lane, from.z[k]);
 }
 

@@ -17,10 +17,11 @@ struct DriveTorques {
 };
 
 template <class Drive, int n, int M>
-constexpr auto torques_in(const Drive& drive, const DriveInput<n, M, Real>& x, unsigned active) {
+constexpr auto compute_drive_torques(const Drive& drive, const DriveInput<n, M, Real>& x,
+                                     unsigned active) {
   DriveTorques<Drive::extra_count> on = {};
-  const auto warmth = drive.warmth_at(x);
-  on.viscous = -viscous_torque(drive.friction, x.v, warmth);
+  const auto factors = drive.friction_factors_at(x);
+  on.viscous = -viscous_torque(drive.friction, x.v, factors);
   Real shaft = 0.0;
   if constexpr (Drive::driven) on.motor = shaft = drive.motor.torque(x.z, drive.motor_angle(x));
   int which = 0;
@@ -31,16 +32,17 @@ constexpr auto torques_in(const Drive& drive, const DriveInput<n, M, Real>& x, u
     ++which;
   });
   if constexpr (Drive::elastic) {
-    on.gear = drive.gear_on_link(x, active);
-    on.gear_on_rotor = -drive.on_rotor(x, on.gear);
+    on.gear = drive.gear_torque_on_link(x, active);
+    on.gear_on_rotor = -drive.torque_on_rotor(x, on.gear);
     if constexpr (Drive::rotor_modes > 0)
-      on.rotor_friction = is_active(active, Drive::of_rotor)
-                              ? -(shaft + on.gear_on_rotor)
-                              : -drive.rotor.against(x.z[Drive::wm], -on.gear_on_rotor, shaft,
-                                                     x.offset[Drive::of_rotor], warmth);
+      on.rotor_friction =
+          is_active(active, Drive::of_rotor)
+              ? -(shaft + on.gear_on_rotor)
+              : -drive.rotor.resisting_torque(x.z[Drive::wm], -on.gear_on_rotor, shaft,
+                                              x.offset[Drive::of_rotor], factors);
   } else if constexpr (Drive::driven) {
     if constexpr (Drive::rotor_modes > 0)
-      on.rotor_friction = -viscous_torque(drive.rotor.law, drive.motor_speed(x), warmth);
+      on.rotor_friction = -viscous_torque(drive.rotor.law, drive.motor_speed(x), factors);
     on.gear = (shaft + on.rotor_friction) / drive.gear.Ng;
   }
   return on;
@@ -67,22 +69,22 @@ class TorqueTerms {
   static void write(const Numbers<S>& n, State<S> x, const Real* u, Real* out) {
     typename Links<S>::Dynamics links, still;
     const Real rest[N] = {};
-    follow_at_once(n, x, u);
-    Links<S>::dynamics_apart(n, x.q, x.v, links);
-    Links<S>::dynamics_apart(n, x.q, rest, still);
+    set_algebraic_states(n, x, u);
+    Links<S>::compute_dynamics_apart(n, x.q, x.v, links);
+    Links<S>::compute_dynamics_apart(n, x.q, rest, still);
     Real a[N], external[N] = {};
     const Modes<S> modes(n, x, u, links);
     typename Modes<S>::Friction coulomb(n);
-    modes.accelerations(x, u, links, a, coulomb);
+    modes.compute_accelerations(x, u, links, a, coulomb);
     if constexpr (S::external_wrench) {
       typename Links<S>::Kinematics kinematics;
-      Links<S>::kinematics(n, x.q, kinematics);
-      Links<S>::external_torques(n, kinematics, external);
+      Links<S>::compute_kinematics(n, x.q, kinematics);
+      Links<S>::compute_external_torques(n, kinematics, external);
     }
     n.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
-      const auto now = modes.of(drive, j);
+      const auto now = modes.drive_modes(drive, j);
       const auto at = drive.with(input_of(drive, j, x, u[j]), now);
-      const auto on = torques_in(drive, at, now.active());
+      const auto on = compute_drive_torques(drive, at, now.active());
       Real inertia = 0.0;
       for (int k = 0; k < N; ++k) inertia -= links.M.entry(j, k) * a[k];
       const Real no = no_number();
@@ -99,7 +101,7 @@ class TorqueTerms {
                         no,
                         Drive::driven ? on.rotor_friction : no};
       if constexpr (Drive::elastic) {
-        row[8] = -drive.motor.Mm * rotor_acceleration(drive, at, now.active());
+        row[8] = -drive.motor.Mm * compute_rotor_acceleration(drive, at, now.active());
         row[10] = on.gear_on_rotor;
       }
       for (int e = 0; e < extras; ++e) {
@@ -113,8 +115,9 @@ class TorqueTerms {
 
  private:
   template <class Drive>
-  static Real rotor_acceleration(const Drive& drive, const typename Drive::template Input<Real>& x,
-                                 unsigned active) {
+  static Real compute_rotor_acceleration(const Drive& drive,
+                                         const typename Drive::template Input<Real>& x,
+                                         unsigned active) {
     const Real D = drive.D(active).f[Drive::wm];
     return D > 0.0 ? drive.rates(x, active).f[Drive::wm] / D : 0.0;
   }

@@ -17,7 +17,7 @@ using Symmetric = X[N][kPadded<N>];
 template <int N>
 struct Full {
   static constexpr bool from_the_tip = N <= kUnrollNested;
-  static constexpr bool couples(int, int) { return true; }
+  static constexpr bool is_coupled(int, int) { return true; }
 };
 
 // No row and column is left out of a factorisation.
@@ -45,7 +45,7 @@ struct FromTheTip {
       const X inverse = out ? X{} + 1.0 : 1.0 / rest[k][k];
       inverse_D[k] = inverse;
       for_each_reverse<k>([&](auto i) __attribute__((always_inline)) {
-        if constexpr (Pattern::couples(i, k)) {
+        if constexpr (Pattern::is_coupled(i, k)) {
           if (out || is_left_out(i)) {
             U[k][i] = X{};
             return;
@@ -53,7 +53,8 @@ struct FromTheTip {
           const X factor = rest[i][k] * -inverse;
           U[k][i] = factor;
           for_each_from<k>(i, [&](auto j) __attribute__((always_inline)) {
-            if constexpr (Pattern::couples(j, k)) rest[i][j] = fma(factor, rest[j][k], rest[i][j]);
+            if constexpr (Pattern::is_coupled(j, k))
+              rest[i][j] = fma(factor, rest[j][k], rest[i][j]);
           });
         }
       });
@@ -71,7 +72,7 @@ struct FromTheTip {
         return;
       }
       for_each_reverse<k>([&](auto i) __attribute__((always_inline)) {
-        if constexpr (Pattern::couples(i, k)) y[i] = fma(U[k][i], y[k], y[i]);
+        if constexpr (Pattern::is_coupled(i, k)) y[i] = fma(U[k][i], y[k], y[i]);
       });
     });
     for_each<N>([&](auto k) __attribute__((always_inline)) {
@@ -81,7 +82,7 @@ struct FromTheTip {
       }
       Y sum = y[k] * inverse_D[k];
       for_each<k>([&](auto i) __attribute__((always_inline)) {
-        if constexpr (Pattern::couples(i, k)) sum = fma(U[k][i], y[i], sum);
+        if constexpr (Pattern::is_coupled(i, k)) sum = fma(U[k][i], y[i], sum);
       });
       x[k] = y[k] = sum;
     });
@@ -153,7 +154,7 @@ struct Cholesky<N, Dual<directions>, Pattern> {
     for (int j = 0; j < N; ++j) {
       by[j] -= dM[j][j] * values[j];
       for (int k = j + 1; k < N; ++k) {
-        if (!Pattern::couples(j, k)) continue;
+        if (!Pattern::is_coupled(j, k)) continue;
         by[j] -= dM[j][k] * values[k];
         by[k] -= dM[j][k] * values[j];
       }

@@ -22,7 +22,7 @@ inline constexpr std::uint64_t kGolden = 0x9e3779b97f4a7c15;  // 2^64 over the g
 struct Noise {
   std::uint64_t key;
 
-  static constexpr Noise of(double seed, int who) {
+  static constexpr Noise make_stream(double seed, int who) {
     return {mixed(mixed(std::bit_cast<std::uint64_t>(seed) + kGolden) +
                   kGolden * static_cast<std::uint64_t>(who + 1))};
   }

@@ -1,5 +1,5 @@
-// The number types of the core: Real (real.hpp), and lanes, which are several machines side by side
-// in one vector register. Branches on data are written as `select`, since lanes may differ.
+// The number types of the core: Real (real.hpp), and lanes, which are several machines next to each
+// other in one vector register. Branches on data are written as `select`, since lanes may differ.
 #pragma once
 
 #include <type_traits>

@@ -123,9 +123,9 @@ __attribute__((noinline)) SinCos<X> sincos_anywhere(const X& x) {
   SinCos<X> result = sincos_of(reduced(x));
   for (int lane = 0; lane < kWidth<X>; ++lane) {
     if (magnitude(lane_of(x, lane)) < kReducible) continue;
-    const auto of_lane = sincos_of(reduced_anywhere(lane_of(x, lane)));
-    set_lane(result.sin, lane, of_lane.sin);
-    set_lane(result.cos, lane, of_lane.cos);
+    const auto lane_schedule = sincos_of(reduced_anywhere(lane_of(x, lane)));
+    set_lane(result.sin, lane, lane_schedule.sin);
+    set_lane(result.cos, lane, lane_schedule.cos);
   }
   return result;
 }

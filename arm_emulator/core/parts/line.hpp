@@ -1,4 +1,4 @@
-// The line between a controller and a joint's drive: a frame per servo period each way, spoiled
+// The line between a controller and a joint's drive: a frame per servo period each way, disturbed
 // with probabilities. It is perfect unless a fault makes it worse.
 #pragma once
 
@@ -15,7 +15,7 @@ struct LineFaults {
   double overtaken = 0.0;  // that a frame comes one period later, behind the one that follows it
   double corrupted = 0.0;  // that a bit is received wrong
 
-  constexpr bool any() const { return late + lost + repeated + overtaken + corrupted != 0.0; }
+  constexpr bool has_fault() const { return late + lost + repeated + overtaken + corrupted != 0.0; }
 };
 
 struct Line {
@@ -23,8 +23,8 @@ struct Line {
   double silent = 0.0;   // 1: no command comes, and the drive is disabled
   double swapped = 0.0;  // 1: the plugs of its encoders and those of the next joint are swapped
 
-  constexpr bool may_fail() const {
-    return command.any() || measurement.any() || silent != 0.0 || swapped != 0.0;
+  constexpr bool can_fail() const {
+    return command.has_fault() || measurement.has_fault() || silent != 0.0 || swapped != 0.0;
   }
 };
 
@@ -41,34 +41,34 @@ class LineDirection {
   using Frame = std::int64_t[words];
 
   // As if this frame had always been sent.
-  void begin(const Frame& frame) {
-    for (Frame& one : sent_) copy(frame, one);
+  void restart(const Frame& frame) {
+    for (Frame& frame_sent : sent_) copy(frame, frame_sent);
     copy(frame, received_);
   }
 
-  // Send the frame of a tick; spoil(frame, draw) makes one bit wrong, draw is above 0 and at
+  // Send the frame of a tick; flip_bit(frame, draw) makes one bit wrong, draw is above 0 and at
   // most 1.
-  template <class Spoil>
+  template <class FlipBit>
   void send(std::int64_t tick, const Frame& frame, const LineFaults& faults, const Noise& noises,
-            Spoil&& spoil) {
-    copy(frame, sent_[place(tick)]);
+            FlipBit&& flip_bit) {
+    copy(frame, sent_[find_slot(tick)]);
     const auto occurs = [&](double probability, int who, std::int64_t of) {
-      return probability > 0.0 && draw(noises, who, of) <= probability;
+      return probability > 0.0 && draw_number(noises, who, of) <= probability;
     };
     const std::int64_t due = tick - static_cast<std::int64_t>(faults.late);
     if (occurs(faults.lost, 0, tick)) return;
     const bool older = occurs(faults.overtaken, 1, tick - 1) || occurs(faults.repeated, 2, tick);
     if (!older && occurs(faults.overtaken, 1, tick)) return;
-    copy(sent_[place(older ? due - 1 : due)], received_);
-    if (occurs(faults.corrupted, 3, tick)) spoil(received_, draw(noises, 4, tick));
+    copy(sent_[find_slot(older ? due - 1 : due)], received_);
+    if (occurs(faults.corrupted, 3, tick)) flip_bit(received_, draw_number(noises, 4, tick));
   }
 
   const Frame& received() const { return received_; }
 
   template <class Number>
   void for_each_number(Number&& number) {
-    for (Frame& one : sent_)
-      for (std::int64_t& word : one) number(word);
+    for (Frame& frame_sent : sent_)
+      for (std::int64_t& word : frame_sent) number(word);
     for (std::int64_t& word : received_) number(word);
   }
 
@@ -76,11 +76,11 @@ class LineDirection {
   static constexpr int kLongest = 16;           // periods by which a frame is late
   static constexpr int kLength = kLongest + 2;  // and one of before
 
-  static int place(std::int64_t tick) { return static_cast<int>((tick + kLength) % kLength); }
+  static int find_slot(std::int64_t tick) { return static_cast<int>((tick + kLength) % kLength); }
   static void copy(const Frame& from, Frame& to) {
     for (int k = 0; k < words; ++k) to[k] = from[k];
   }
-  static double draw(const Noise& noises, int who, std::int64_t number) {
+  static double draw_number(const Noise& noises, int who, std::int64_t number) {
     return Noise{mixed(noises.key + static_cast<std::uint64_t>(who))}.uniform(number);
   }
 

@@ -7,7 +7,7 @@
 //   mode_at(...)         the mode that a state calls for,
 //   required(...)        the one that the end of a step calls for: the same where it holds,
 //   margin(...)          how far a state is from where the mode ceases to hold, negative beyond,
-//   settle(...)          and puts a state where its mode holds it, against rounding.
+//   enforce_modes(...)          and puts a state where its mode holds it, against rounding.
 //   is_regular(...)        Optional and faster: whether a state, as the start
 //                        and as the end of a step, surely calls for the regular mode, number 0.
 #pragma once

@@ -14,6 +14,6 @@ concept HasPotential = requires(const Part& part) { part.potential(0.0); };
 
 // Whether a part has a temperature that friction follows.
 template <class Part>
-concept ChangesFriction = requires(const Part& part, Real rise) { part.warmth(rise); };
+concept ChangesFriction = requires(const Part& part, Real rise) { part.compute_factors(rise); };
 
 }  // namespace arm

@@ -20,14 +20,14 @@ struct UnilateralSpring {
   Real D;  // N m s/rad
 
   template <class X>
-  ARM_INLINE constexpr X push(X u, X du) const {
+  ARM_INLINE constexpr X push_torque(X u, X du) const {
     return K * u + D * du;
   }
-  constexpr bool pushes(Real u, Real du) const { return u > 0.0 && push(u, du) > 0.0; }
+  constexpr bool is_pushing(Real u, Real du) const { return u > 0.0 && push_torque(u, du) > 0.0; }
 
   // Distance from the change between pushing and not, negative beyond [N m].
   constexpr Real margin(bool pushing, Real u, Real du, Real rounding) const {
-    const Real depth = K * u, torque = push(u, du);
+    const Real depth = K * u, torque = push_torque(u, du);
     const Real smaller = depth < torque ? depth : torque;
     return (pushing ? smaller : -smaller) + rounding;
   }

@@ -30,7 +30,7 @@ class DerivativeReplay {
       : h_(step), n_(parameters), full_(step, n_), part_(step, n_), x_(start) {
     static const ChangedDrives<S> changed;
     full_.reset(x_);
-    own_.links = LinkSlopes<S>::own(n_, x_);
+    own_.links = LinkSlopes<S>::has_own_slopes(n_, x_);
     n_.for_each_drive([&]<class Drive>(const Drive& drive, int) {
       ever_regular_ = ever_regular_ && (Drive::modes == 0 || drive.is_ever_regular());
     });
@@ -45,7 +45,7 @@ class DerivativeReplay {
   const State<S>& state() const { return x_; }
 
   // Begin a row of commands.
-  void command(const double* commands) {
+  void begin_row(const double* commands) {
     for (int j = 0; j < N; ++j) u_[j] = commands[j];
     bound_commands(n_, x_, u_);
     for (int j = 0; j < N; ++j) own_.at[j] = own_drive_[j] || has_derivatives(u_[j]);
@@ -55,7 +55,7 @@ class DerivativeReplay {
     const Numbers<S> n;
     Method method;
     Part part;
-    bool is_single;  // follower alone
+    bool is_single;  // the only one that follows
 
     Values(Real step, const Real* parameters, bool alone)
         : n(parameters), method(step, n), part(step, n), is_single(alone) {}
@@ -74,100 +74,101 @@ class DerivativeReplay {
   };
 
   // Take a part; `next` begins at its end.
-  void follow(const Piece& piece, const Piece& next, Values& values, Common& common) {
+  void replay_part(const Piece& piece, const Piece& next, Values& values, Common& common) {
     if (piece.end == PieceEnd::cut) {
       Dynamics links;
-      Links<S>::dynamics_apart(n_, x_.q, x_.v, links);
-      full_.remember(start_, x_, u_, links, Modes<S>(n_, x_, u_, links));
+      Links<S>::compute_dynamics_apart(n_, x_.q, x_.v, links);
+      full_.set_past(start_, x_, u_, links, Modes<S>(n_, x_, u_, links));
       cut_ = false;
       return;
     }
-    follow_at_once(n_, x_, u_);
-    if (!common.begun) begin(piece, next, values, common);
+    set_algebraic_states(n_, x_, u_);
+    if (!common.begun) begin_part(piece, next, values, common);
     std::optional<Modes<S>> modes;
     if (!common.regular || !piece.complete) {
-      put_values(piece, x_);
-      modes = modes_of(n_, x_, u_, piece, next);
+      copy_values(piece, x_);
+      modes = find_modes(n_, x_, u_, piece, next);
     }
     if (piece.complete) {
-      move(piece, next, values, values.method, full_, h_, modes, common.of_step, common);
+      move_state(piece, next, values, values.method, full_, h_, modes, common.of_step, common);
     } else {
       if (!cut_) start_ = x_, left_ = h_, cut_ = true;
-      if (piece.end == PieceEnd::unlocated) return finish();
+      if (piece.end == PieceEnd::unlocated) return finish_step();
       const Real length = piece.end == PieceEnd::step ? left_ : piece.length;
-      if (!common.moved) take_along(piece, next, values, common);
-      move(piece, next, values, values.part, part_, length, modes, common.of_part, common);
+      if (!common.moved) find_change_along(piece, next, values, common);
+      move_state(piece, next, values, values.part, part_, length, modes, common.of_part, common);
       if (piece.end == PieceEnd::event)
-        move_end(piece, *modes, common);
+        end_at_event(piece, *modes, common);
       else
-        move_along(length, common);
+        add_change_along(length, common);
     }
-    put_values(next, x_);
-    if (modes) modes->settle(x_, u_);
+    copy_values(next, x_);
+    if (modes) modes->enforce_modes(x_, u_);
   }
 
   // End a row of commands at the state at which `next` begins.
-  void end_row(const Piece& next) {
-    follow_at_once(n_, x_, u_);
-    put_values(next, x_);
+  void finish_row(const Piece& next) {
+    set_algebraic_states(n_, x_, u_);
+    copy_values(next, x_);
   }
 
  private:
-  // Whether no joint is held by anything, so that nothing settles.
+  // Whether no joint is held by anything, so that no mode sets a state.
   static bool is_regular(const Piece& piece) {
     bool regular = true;
     for (int j = 0; j < N; ++j) regular = regular && !piece.locked[j] && !piece.active[j];
     return regular;
   }
   // Put the values of a state in the place of those here.
-  static void put_values(const Piece& of, State<S>& x) {
+  static void copy_values(const Piece& of, State<S>& x) {
     for (int j = 0; j < N; ++j) {
       for (int k = 0; k < K; ++k) x.z[k][j].value = of.z[k][j];
       x.q[j].value = of.q[j], x.v[j].value = of.v[j];
     }
   }
-  void put_commands(Real (&u)[row]) const {
+  void set_commands(Real (&u)[row]) const {
     for (int j = 0; j < N; ++j) u[j] = constant(u_[j]);
   }
-  void begin(const Piece& piece, const Piece& next, Values& values, Common& common) const {
-    put_values(piece, common.start);
-    common.links.take(values.n, common.start);
+  void begin_part(const Piece& piece, const Piece& next, Values& values, Common& common) const {
+    copy_values(piece, common.start);
+    common.links.update(values.n, common.start);
     common.regular.reset();
     if (ever_regular_ && is_regular(piece))
-      common.regular = modes_of(values.n, common.start, u_, piece, next);
+      common.regular = find_modes(values.n, common.start, u_, piece, next);
     common.begun = true, common.stepped = common.moved = false;
   }
 
   // Take the step or the part with what all have in common.
   template <class Taking, class Slopes>
-  void move(const Piece& piece, const Piece& next, const Values& values, Taking& of_values,
-            Taking& own, const Real& length, const std::optional<Modes<S>>& modes, Slopes& slopes,
-            Common& common) {
+  void move_state(const Piece& piece, const Piece& next, const Values& values, Taking& of_values,
+                  Taking& own, const Real& length, const std::optional<Modes<S>>& modes,
+                  Slopes& slopes, Common& common) {
     const Numbers<S>& n = values.n;
     const double h = length.value;
     if (values.is_single)
-      return slopes.move_alone(own, n_, n, common.links, modes ? *modes : *common.regular,
-                               common.start, x_, u_, own.past(), own_, h);
+      return slopes.move_single(own, n_, n, common.links, modes ? *modes : *common.regular,
+                                common.start, x_, u_, own.past(), own_, h);
     if (!common.stepped) {
       alignas(64) Real u[row] = {};
-      put_commands(u);
-      slopes.take(of_values, n, common.links, common.start, u, own.memory(), h,
-                  [&](const State<S>& x) { return modes_of(n, x, u, piece, next); });
+      set_commands(u);
+      slopes.update(of_values, n, common.links, common.start, u, own.memory(), h,
+                    [&](const State<S>& x) { return find_modes(n, x, u, piece, next); });
       common.stepped = true;
     }
     if (own_.any()) {
-      const auto take = [&](const Modes<S>& modes) {
-        slopes.take_own(own, n_, modes, common.start, u_, h, own_);
+      const auto update_own = [&](const Modes<S>& modes) {
+        slopes.update_own(own, n_, modes, common.start, u_, h, own_);
       };
-      common.regular ? take(*common.regular) : take(modes_of(n_, common.start, u_, piece, next));
+      common.regular ? update_own(*common.regular)
+                     : update_own(find_modes(n_, common.start, u_, piece, next));
     }
-    slopes.move(x_, own.past(), own_, h);
+    slopes.move_state(x_, own.past(), own_, h);
   }
 
   // The modes in which it was taken. Where rounding lets the state at its start
   // call for others, that at its end knows them.
-  static Modes<S> modes_of(const Numbers<S>& n, const State<S>& x, const Real* u,
-                           const Piece& piece, const Piece& next) {
+  static Modes<S> find_modes(const Numbers<S>& n, const State<S>& x, const Real* u,
+                             const Piece& piece, const Piece& next) {
     typename Modes<S>::Friction::Modes friction;
     for (int j = 0; j < N; ++j)
       friction.locked[j] = piece.locked[j], friction.direction[j] = piece.direction[j];
@@ -190,33 +191,35 @@ class DerivativeReplay {
   }
 
   // At its length, and along it: dt = -dg / (dg/dt) of the condition's g.
-  void move_end(const Piece& piece, const Modes<S>& modes, const Common& common) {
+  void end_at_event(const Piece& piece, const Modes<S>& modes, const Common& common) {
     Real length = piece.length;
-    const Real g = condition(piece, modes, x_, u_);
+    const Real g = evaluate_condition(piece, modes, x_, u_);
     length.by = common.slope != 0.0 ? -g.by / common.slope : 0.0 * g.by;
-    move_along(length, common);
+    add_change_along(length, common);
     left_ -= length;
   }
-  void move_along(const Real& length, const Common& common) {
+  void add_change_along(const Real& length, const Common& common) {
     for_each_pair(x_, common.along,
                   [&](Real& x, const Real& along) { x.by += along.by[0] * length.by; });
   }
-  void take_along(const Piece& piece, const Piece& next, Values& values, Common& common) const {
+  void find_change_along(const Piece& piece, const Piece& next, Values& values,
+                         Common& common) const {
     alignas(64) Real u[row] = {};
-    put_commands(u);
-    const Modes<S> modes = modes_of(values.n, common.start, u, piece, next);
+    set_commands(u);
+    const Modes<S> modes = find_modes(values.n, common.start, u, piece, next);
     Dynamics links;
-    Links<S>::dynamics_apart(values.n, common.start.q, common.start.v, links);
+    Links<S>::compute_dynamics_apart(values.n, common.start.q, common.start.v, links);
     Real length = piece.end == PieceEnd::step ? constant(left_) : piece.length;
     length.by[0] = 1.0;
     common.along = common.start;
-    values.part.retime(length, modes);
-    values.part.step_in(modes, common.along, u, links);
-    if (piece.end == PieceEnd::event) common.slope = condition(piece, modes, common.along, u).by[0];
+    values.part.set_step(length, modes);
+    values.part.step_in_modes(modes, common.along, u, links);
+    if (piece.end == PieceEnd::event)
+      common.slope = evaluate_condition(piece, modes, common.along, u).by[0];
     common.moved = true;
   }
-  static Real condition(const Piece& piece, const Modes<S>& modes, const State<S>& x,
-                        const Real* u) {
+  static Real evaluate_condition(const Piece& piece, const Modes<S>& modes, const State<S>& x,
+                                 const Real* u) {
     LinksMemo<S> memo;
     Real each[Modes<S>::conditions];
     modes.margin(x, u, memo, each);
@@ -228,14 +231,14 @@ class DerivativeReplay {
       pair(x.q[j], y.q[j]), pair(x.v[j], y.v[j]);
     }
   }
-  void finish() {
+  void finish_step() {
     NullExchange no_exchange;
     Dynamics links;
-    Links<S>::dynamics_apart(n_, x_.q, x_.v, links);
+    Links<S>::compute_dynamics_apart(n_, x_.q, x_.v, links);
     Method part(left_, n_);
     part.reset(x_);
     part.step(x_, u_, links, no_exchange);
-    follow_at_once(n_, x_, u_);
+    set_algebraic_states(n_, x_, u_);
   }
 
   Real h_, left_ = 0.0;

@@ -1,8 +1,9 @@
 // A drive's part of a step as a table of numbers, computed from its f and g.
 //
 // f = F (z, q, v, u, offset) + n and g = G (z, q, v) + n_g: f and g of the linear parts at a unit
-// of each input are the columns of F and G. The rest n of nonlinear parts is an input of its own.
-// With s = gamma h, a stage (I - s A) k = r of a linearly implicit scheme reads, for one joint,
+// of each input are the columns of F and G. The sum n of the nonlinear parts is an input of its
+// own. With s = gamma h, a stage (I - s A) k = r of a linearly implicit scheme reads, for one
+// joint,
 //
 //   D k_z - s (F_z k_z + F_q k_q + F_v k_v) = r_z
 //                                       k_q = r_q + s k_v
@@ -22,13 +23,13 @@
 namespace arm {
 
 // Inputs in which a joint's part of a step is linear: z, q, v, u, the numbers of its M modes
-// (mode.hpp), the nonlinear rest at the step's start in the rows of f and in g, the acceleration
-// of the link in the first stage, the change of the rest in it, and the acceleration in the
+// (mode.hpp), the nonlinear parts at the step's start in the rows of f and in g, the acceleration
+// of the link in the first stage, the change of these parts in it, and the acceleration in the
 // second. R is K + 1, or 0 if all drives are linear.
 template <int K, int M, int R>
 struct StepInput {
-  static constexpr int q = K, v = K + 1, u = K + 2, offset = K + 3, rest = offset + M;
-  static constexpr int k1 = rest + R, change = k1 + 1, k2 = change + R, count = k2 + 1;
+  static constexpr int q = K, v = K + 1, u = K + 2, offset = K + 3, nonlinear = offset + M;
+  static constexpr int k1 = nonlinear + R, change = k1 + 1, k2 = change + R, count = k2 + 1;
 };
 
 // One joint's part of a step of size h: each row per unit of each input.
@@ -58,9 +59,9 @@ struct Elimination {
   X E[n][n], e[n], b;
 
   // Set up for this drive with this s.
-  ARM_INLINE void put(const Drive& drive, Real with) {
+  ARM_INLINE void prepare(const Drive& drive, Real with) {
     s = with;
-    drive.inverse(s, E);
+    drive.invert(s, E);
     for (int r = 0; r < K; ++r) {
       e[r] = X{};
       for (int c = 0; c < K; ++c) e[r] += s * E[r][c] * (drive.F[c][K + 1] + s * drive.F[c][K]);
@@ -72,8 +73,8 @@ struct Elimination {
   struct Stage {
     X z[n], rhs;
   };
-  ARM_INLINE Stage stage(const Drive& drive, const X (&r_z)[n], const auto& r_q,
-                         const X& r_v) const {
+  ARM_INLINE Stage solve_stage(const Drive& drive, const X (&r_z)[n], const auto& r_q,
+                               const X& r_v) const {
     Stage stage = {{}, r_v + s * drive.G[K] * r_q};
     for (int r = 0; r < K; ++r) {
       for (int c = 0; c < K; ++c) stage.z[r] += E[r][c] * (r_z[c] + s * drive.F[c][K] * r_q);
@@ -90,7 +91,7 @@ ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, Rea
   using X = Real;
   constexpr int n = LinearDrive<K, M>::kRows;
   Elimination<K, M> elimination = {};
-  elimination.put(drive, gamma_of(stages) * h);
+  elimination.prepare(drive, gamma_of(stages) * h);
   const auto& [s, E, e, b] = elimination;
   DriveTable<K, M, R> table = {};
   table.diagonal = s * b;
@@ -103,10 +104,10 @@ ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, Rea
       g = drive.G[input];
     }
     if constexpr (R > 0) {
-      for (int k = 0; k < K; ++k) f[k] += x[In::rest + k];
-      g += x[In::rest + K];
+      for (int k = 0; k < K; ++k) f[k] += x[In::nonlinear + k];
+      g += x[In::nonlinear + K];
     }
-    const auto first = elimination.stage(drive, f, x[In::v], g);
+    const auto first = elimination.solve_stage(drive, f, x[In::v], g);
     X k_z[n] = {};
     for (int k = 0; k < K; ++k) k_z[k] = first.z[k] + e[k] * x[In::k1];
     table.rhs_1[input] = first.rhs;
@@ -123,7 +124,8 @@ ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, Rea
       for (int k = 0; k < K; ++k) r_z[k] += x[In::change + k];
       r_v += x[In::change + K];
     }
-    const auto second = elimination.stage(drive, r_z, kSqrt2 * (x[In::v] + s * x[In::k1]), r_v);
+    const auto second =
+        elimination.solve_stage(drive, r_z, kSqrt2 * (x[In::v] + s * x[In::k1]), r_v);
     table.rhs_2[input] = second.rhs;
     for (int k = 0; k < K; ++k)
       table.dz[k][input] = h * (gamma_of(2) * k_z[k] + 0.5 * (second.z[k] + e[k] * x[In::k2]));
@@ -141,13 +143,14 @@ struct MakeImplicit {
 };
 
 // The table of the paper's scheme: backward Euler of the drive with the link held; `rhs_1` is the
-// torque on the link at the states after it. The drive's rest is that at the step's start.
+// torque on the link at the states after it. The drive's nonlinear part is that at the step's
+// start.
 template <int R, int K, int M>
 ARM_ONCE DriveTable<K, M, R> paper_table(const LinearDrive<K, M>& drive, Real h) {
   using In = StepInput<K, M, R>;
   constexpr int n = LinearDrive<K, M>::kRows;
   Real E[n][n] = {};
-  drive.inverse(h, E);
+  drive.invert(h, E);
   DriveTable<K, M, R> table = {};
   for (int input = 0; input < drive.kColumns; ++input) {
     table.rhs_1[input] = drive.G[input];
@@ -159,10 +162,10 @@ ARM_ONCE DriveTable<K, M, R> paper_table(const LinearDrive<K, M>& drive, Real h)
   if constexpr (R > 0) {
     for (int c = 0; c < K; ++c)
       for (int r = 0; r < K; ++r) {
-        table.dz[r][In::rest + c] = h * E[r][c];
-        table.rhs_1[In::rest + c] += drive.G[r] * h * E[r][c];
+        table.dz[r][In::nonlinear + c] = h * E[r][c];
+        table.rhs_1[In::nonlinear + c] += drive.G[r] * h * E[r][c];
       }
-    table.rhs_1[In::rest + K] = 1.0;
+    table.rhs_1[In::nonlinear + K] = 1.0;
   }
   return table;
 }

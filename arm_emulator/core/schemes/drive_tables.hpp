@@ -2,7 +2,7 @@
 #pragma once
 
 #include "numerics/finite.hpp"
-#include "schemes/drive_tables_by_mode.hpp"
+#include "schemes/modal_drives.hpp"
 
 namespace arm {
 
@@ -11,7 +11,7 @@ template <int inputs, int row, class Number>
 struct TableRows {
   Number at[inputs][row] = {};
 
-  void put(int input, int j, int lane, const Real& number) { set_lane(at[input][j], lane, number); }
+  void set(int input, int j, int lane, const Real& number) { set_lane(at[input][j], lane, number); }
   Number number(int input, int j) const { return at[input][j]; }
 };
 // Rows of numbers with derivatives: of each joint the entries that are not zero, and whose
@@ -32,7 +32,7 @@ struct TableRows<inputs, row, Dual<directions>> {
   int entry_count[row] = {}, slope_count[row] = {};
 
   // In the order of inputs, beginning with the first.
-  void put(int input, int j, int, const Number& number) {
+  void set(int input, int j, int, const Number& number) {
     if (input == 0) entry_count[j] = slope_count[j] = 0;
     if (number.value != 0.0) entries[j][entry_count[j]++] = {input, number.value};
     if (has_derivatives(number)) slopes[j][slope_count[j]++] = {input, number.by};
@@ -46,7 +46,7 @@ struct TableRows<inputs, row, Dual<directions>> {
     return result;
   }
   // The sum of the products with the inputs before `end`.
-  ARM_INLINE Number answer(int j, int end, auto&& x) const {
+  ARM_INLINE Number sum_products(int j, int end, auto&& x) const {
     Number sum = 0.0;
     for (int e = 0; e < entry_count[j] && entries[j][e].input < end; ++e)
       sum += entries[j][e].value * x(entries[j][e].input);
@@ -57,50 +57,50 @@ struct TableRows<inputs, row, Dual<directions>> {
 };
 
 // The numbers of the tables of all joints.
-template <class Served>
+template <class Modal>
 struct StepNumbers {
-  using Number = typename Served::Number;
-  using Rows = TableRows<Served::In::count, Served::row, Number>;
-  static constexpr int states = Served::K > 0 ? Served::K : 1;
-  static constexpr int rates = Served::linear ? 1 : Served::K;
+  using Number = typename Modal::Number;
+  using Rows = TableRows<Modal::In::count, Modal::row, Number>;
+  static constexpr int states = Modal::K > 0 ? Modal::K : 1;
+  static constexpr int rates = Modal::linear ? 1 : Modal::K;
 
   alignas(64) Rows rhs_1 = {}, rhs_2 = {}, dz[states] = {};
   alignas(64) Rows k_z[rates] = {};
-  alignas(64) Number diagonal[Served::row] = {};
+  alignas(64) Number diagonal[Modal::row] = {};
 };
 // The numbers are those of another table, which outlives this one. A step reads all of them and
 // little else, so groups of lanes with the same drives have them once in memory.
-template <class Served>
-struct StepNumbersElsewhere {
-  using There = StepNumbers<Served>;
-  explicit StepNumbersElsewhere(const There& there)
+template <class Modal>
+struct ReferredStepNumbers {
+  using Referred = StepNumbers<Modal>;
+  explicit ReferredStepNumbers(const Referred& there)
       : rhs_1(there.rhs_1),
         rhs_2(there.rhs_2),
         dz(there.dz),
         k_z(there.k_z),
         diagonal(there.diagonal) {}
 
-  const typename There::Rows &rhs_1, &rhs_2, (&dz)[There::states], (&k_z)[There::rates];
-  const typename There::Number (&diagonal)[Served::row];
+  const typename Referred::Rows &rhs_1, &rhs_2, (&dz)[Referred::states], (&k_z)[Referred::rates];
+  const typename Referred::Number (&diagonal)[Modal::row];
 };
 
 // The tables of all joints, side by side in vectors. `Make` makes a joint's table of its linear
 // drive. `refers`: the numbers are those of another table.
-template <class S, class X, class Make, bool refers = ServedDrives<S, X>::is_common>
-class DriveTables : public ServedDrives<S, X>,
-                    public std::conditional_t<refers, StepNumbersElsewhere<ServedDrives<S, X>>,
-                                              StepNumbers<ServedDrives<S, X>>> {
+template <class S, class X, class Make, bool refers = ModalDrives<S, X>::is_common>
+class DriveTables : public ModalDrives<S, X>,
+                    public std::conditional_t<refers, ReferredStepNumbers<ModalDrives<S, X>>,
+                                              StepNumbers<ModalDrives<S, X>>> {
  public:
-  using Served = ServedDrives<S, X>;
-  using Stored = std::conditional_t<refers, StepNumbersElsewhere<Served>, StepNumbers<Served>>;
-  using Served::enters;
-  using Served::N, Served::K, Served::M, Served::R, Served::row, Served::linear, Served::matters;
+  using Modal = ModalDrives<S, X>;
+  using Stored = std::conditional_t<refers, ReferredStepNumbers<Modal>, StepNumbers<Modal>>;
+  using Modal::is_rate_affected;
+  using Modal::N, Modal::K, Modal::M, Modal::R, Modal::row, Modal::linear, Modal::is_input_used;
   using Stored::rhs_1, Stored::rhs_2, Stored::dz, Stored::k_z, Stored::diagonal;
-  using typename Served::In, typename Served::Inputs, typename Served::Modes;
-  static constexpr bool own = Served::own;
+  using typename Modal::In, typename Modal::Inputs, typename Modal::Modes;
+  static constexpr bool own = Modal::own;
   static constexpr bool has_past = true;  // the last step had the length of this
   static constexpr std::integral_constant<int, -1> link = {};
-  using Number = typename Served::Number;
+  using Number = typename Modal::Number;
 
   using Numbers = TableRows<In::count, row, Number>;
   // The tables whose numbers these are.
@@ -108,42 +108,42 @@ class DriveTables : public ServedDrives<S, X>,
 
   DriveTables(const arm::Numbers<S, X>& numbers, const Make& maker, Nothing = {})
     requires(!refers)
-      : Served(numbers), make_(maker) {
+      : Modal(numbers), make_(maker) {
     fill();
   }
   DriveTables(const arm::Numbers<S, X>& numbers, const Make& maker, const Common& common)
     requires(refers)
-      : Served(numbers), Stored(common), make_(maker) {}
+      : Modal(numbers), Stored(common), make_(maker) {}
   // The numbers of a lane have changed.
-  void renew(int lane) {
+  void update_tables(int lane) {
     if constexpr (own) fill_lane(lane);
   }
   // All numbers have changed.
   void fill() {
-    this->take_linear();
+    this->update_linear();
     for (int lane = 0; lane < (own ? kWidth<X> : 1); ++lane) fill_lane(lane);
   }
   // Fill one lane. All parts are in their regular modes.
   void fill_lane(int lane) {
     this->n_.for_each_drive_of(lane, [&](const auto& drive, int j) {
-      if constexpr (Served::modal) this->note(j, Modes{});
-      put_table(drive, 0, j, lane);
+      if constexpr (Modal::modal) this->record_modes(j, Modes{});
+      write_table(drive, 0, j, lane);
     });
   }
 
   // Put joint j into these modes.
-  void serve(int j, const Modes& modes) {
+  void set_modes(int j, const Modes& modes) {
     const unsigned active = modes.active();
-    if (active != this->served(j).active()) change_table(j, active);
-    this->note(j, modes);
+    if (active != this->modes_of(j).active()) replace_table(j, active);
+    this->record_modes(j, modes);
   }
   // Put all joints into the modes that the state x calls for.
-  ARM_APART void serve_modes_at(const State<S>& x, const Real (&u)[row]) {
+  ARM_APART void set_modes_at(const State<S>& x, const Real (&u)[row]) {
     this->n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if constexpr (Drive::modes > 0) {
         const auto at = input_of(drive, j, x, u[j]);
-        if (is_surely_regular(drive, j, at)) return;
-        this->serve(j, resized<Served::M>(drive.modes_at(at)));
+        if (is_certainly_regular(drive, j, at)) return;
+        this->set_modes(j, resized<Modal::M>(drive.modes_at(at)));
       }
     });
   }
@@ -154,21 +154,21 @@ class DriveTables : public ServedDrives<S, X>,
     this->n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if constexpr (Drive::modes > 0) {
         const auto end = input_of(drive, j, y, u[j]);
-        if (is_surely_regular(drive, j, end)) return;
-        const Modes& now = this->served(j);
-        const Modes required = resized<Served::M>(
+        if (is_certainly_regular(drive, j, end)) return;
+        const Modes& now = this->modes_of(j);
+        const Modes required = resized<Modal::M>(
             drive.required(input_of(drive, j, x, u[j]), end, resized<Drive::modes>(now)));
         if (required == now) return;
         hold = false;
-        this->serve(j, required);
+        this->set_modes(j, required);
       }
     });
     return hold;
   }
   // State of joint j after a step of the paper's scheme from `start`, in the modes in use.
   template <class TheDrive, class Input>
-  Input end_of(const TheDrive& drive, int j, const Input& start) const {
-    const Modes& modes = this->served(j);
+  Input compute_end_state(const TheDrive& drive, int j, const Input& start) const {
+    const Modes& modes = this->modes_of(j);
     Input end = start;
     const auto add = [&](int k, int input, const auto& x) __attribute__((always_inline)) {
       end.z[k] = fma(dz[k].number(input, j), x, end.z[k]);
@@ -179,11 +179,11 @@ class DriveTables : public ServedDrives<S, X>,
       for (int m = 0; m < TheDrive::modes; ++m) add(k, In::offset + m, modes.at[m].offset);
     }
     if constexpr (!TheDrive::is_linear) {
-      const auto rest =
-          drive.rest(drive.with(start, resized<TheDrive::modes>(modes)), modes.active());
+      const auto nonlinear =
+          drive.nonlinear_part(drive.with(start, resized<TheDrive::modes>(modes)), modes.active());
       for (int k = 0; k < TheDrive::states; ++k) {
-        for (int r = 0; r < TheDrive::states; ++r) add(k, In::rest + r, rest.f[r]);
-        add(k, In::rest + K, rest.g);
+        for (int r = 0; r < TheDrive::states; ++r) add(k, In::nonlinear + r, nonlinear.f[r]);
+        add(k, In::nonlinear + K, nonlinear.g);
       }
     }
     return end;
@@ -191,80 +191,87 @@ class DriveTables : public ServedDrives<S, X>,
 
   // The parts of a linearly implicit step (linearly_implicit.hpp), from the inputs that are known
   // by then: the link's rows of both stages, and the rates of the states in the first with the link
-  // at rest and moving. `rests`: no link moves, and products with its motion are left out.
-  template <bool rests = false>
-  ARM_INLINE auto first(const Inputs& in) const {
-    return answer<In::k1, rests>(rhs_1, in, link);
+  // at rest and moving. `at_rest`: no link moves, and products with its motion are left out.
+  template <bool at_rest = false>
+  ARM_INLINE auto compute_first_rhs(const Inputs& in) const {
+    return multiply<In::k1, at_rest>(rhs_1, in, link);
   }
-  ARM_INLINE auto rates_at_rest(auto k, const Inputs& in) const {
-    return answer<In::k1>(k_z[k], in, k);
+  ARM_INLINE auto compute_rates_at_rest(auto k, const Inputs& in) const {
+    return multiply<In::k1>(k_z[k], in, k);
   }
-  template <bool rests = false>
-  ARM_INLINE auto rates(auto k, const Inputs& in) const {
-    return answer<In::change, rests>(k_z[k], in, k);
+  template <bool at_rest = false>
+  ARM_INLINE auto compute_rates(auto k, const Inputs& in) const {
+    return multiply<In::change, at_rest>(k_z[k], in, k);
   }
-  ARM_INLINE auto second(const Inputs& in) const { return answer<In::k2>(rhs_2, in, link); }
+  ARM_INLINE auto compute_second_rhs(const Inputs& in) const {
+    return multiply<In::k2>(rhs_2, in, link);
+  }
   // The states after the step. All of a joint follow while its inputs are in registers.
-  template <int stages, bool rests = false>
-  ARM_INLINE void add(const Inputs& in, arm::Row<N, X>* z) const {
+  template <int stages, bool at_rest = false>
+  ARM_INLINE void add_increments(const Inputs& in, arm::Row<N, X>* z) const {
     for_each<arm::Row<N, X>::groups>([&](auto g) __attribute__((always_inline)) {
       for_each<K, kMaxStates>([&](auto k) __attribute__((always_inline)) {
         constexpr int inputs = stages == 2 ? In::count : In::change;
-        z[k].at[g] = in[k].at[g] + answer_of<inputs, rests>(dz[k], in, g, k);
+        z[k].at[g] = in[k].at[g] + multiply_group<inputs, at_rest>(dz[k], in, g, k);
       });
     });
   }
 
   // Parts of a step of one joint, of numbers with derivatives, from the inputs in[...].at[0].
-  Number first_at(int j, const auto& in) const { return answer_at<In::k1>(rhs_1, j, in); }
-  Number rate_at(int k, int j, const auto& in) const {
-    return answer_at<In::change>(k_z[k], j, in);
+  Number compute_first_rhs_of(int j, const auto& in) const {
+    return multiply_joint<In::k1>(rhs_1, j, in);
   }
-  Number second_at(int j, const auto& in) const { return answer_at<In::k2>(rhs_2, j, in); }
-  Number end_at(int k, int j, const auto& in) const {
-    return in[k].at[0] + answer_at<In::count>(dz[k], j, in);
+  Number compute_rate_of(int k, int j, const auto& in) const {
+    return multiply_joint<In::change>(k_z[k], j, in);
+  }
+  Number compute_second_rhs_of(int j, const auto& in) const {
+    return multiply_joint<In::k2>(rhs_2, j, in);
+  }
+  Number compute_end_state_of(int k, int j, const auto& in) const {
+    return in[k].at[0] + multiply_joint<In::count>(dz[k], j, in);
   }
   template <int inputs>
-  ARM_INLINE static Number answer_at(const Numbers& numbers, int j, const auto& in) {
-    return numbers.answer(j, inputs, [&](int c) -> const Number& { return in[c].at[0]; });
+  ARM_INLINE static Number multiply_joint(const Numbers& numbers, int j, const auto& in) {
+    return numbers.sum_products(j, inputs, [&](int c) -> const Number& { return in[c].at[0]; });
   }
 
   // A row's numbers times the inputs, for all joints. `k`: the state of which it is; -1: the link.
-  template <int inputs, bool rests = false>
-  ARM_INLINE static arm::Row<N, X> answer(const Numbers& numbers, const Inputs& x, auto k) {
+  template <int inputs, bool at_rest = false>
+  ARM_INLINE static arm::Row<N, X> multiply(const Numbers& numbers, const Inputs& x, auto k) {
     arm::Row<N, X> out;
     for_each<arm::Row<N, X>::groups>([&](auto g) __attribute__((always_inline)) {
-      out.at[g] = answer_of<inputs, rests>(numbers, x, g, k);
+      out.at[g] = multiply_group<inputs, at_rest>(numbers, x, g, k);
     });
     return out;
   }
   // A row's numbers times the inputs, for a group of joints.
-  template <int inputs, bool rests>
-  ARM_INLINE static auto answer_of(const Numbers& numbers, const Inputs& x, int g, auto k) {
+  template <int inputs, bool at_rest>
+  ARM_INLINE static auto multiply_group(const Numbers& numbers, const Inputs& x, int g, auto k) {
     if constexpr (kDifferentiates) {
-      return numbers.answer(g, inputs, [&](int input) -> const X& { return x[input].at[g]; });
+      return numbers.sum_products(g, inputs, [&](int input) -> const X& { return x[input].at[g]; });
     } else if constexpr (inputs <= kMaxInputs && !std::is_same_v<decltype(k), int>) {
-      return sum_of<rests, k>(numbers, x, g, std::make_integer_sequence<int, inputs>{});
+      return sum_of<at_rest, k>(numbers, x, g, std::make_integer_sequence<int, inputs>{});
     } else {
       typename arm::Row<N, X>::Vector out = {};
       for (int input = 0; input < inputs; ++input)
-        if (counts(k, input, rests)) out = fma(group_of(numbers.at[input], g), x[input].at[g], out);
+        if (is_term_used(k, input, at_rest))
+          out = fma(group_of(numbers.at[input], g), x[input].at[g], out);
       return out;
     }
   }
 
  private:
   // Whether an input may change the row of state k, or of the link.
-  static constexpr bool counts(int k, int input, bool rests) {
-    if (rests && (input == In::v || input == In::k1 || input == In::k2)) return false;
-    return matters(input) && (k < 0 || enters(k, input));
+  static constexpr bool is_term_used(int k, int input, bool at_rest) {
+    if (at_rest && (input == In::v || input == In::k1 || input == In::k2)) return false;
+    return is_input_used(input) && (k < 0 || is_rate_affected(k, input));
   }
   // Without a function for each input: there are hundreds, and a compiler optimises each.
-  template <bool rests, int k, int... input>
+  template <bool at_rest, int k, int... input>
   ARM_INLINE static auto sum_of(const Numbers& numbers, const Inputs& x, int g,
                                 std::integer_sequence<int, input...>) {
     typename arm::Row<N, X>::Vector out = {};
-    ((out = std::bool_constant<counts(k, input, rests)>::value
+    ((out = std::bool_constant<is_term_used(k, input, at_rest)>::value
                 ? fma(group_of(numbers.at[input], g), x[input].at[g], out)
                 : out),
      ...);
@@ -280,29 +287,29 @@ class DriveTables : public ServedDrives<S, X>,
       return Row::load_group(numbers, g);
   }
 
-  // Whether a drive is served in its regular modes, and surely stays there at this input.
+  // Whether a drive is in its regular modes, and surely stays there at this input.
   template <class TheDrive, class Input>
-  bool is_surely_regular(const TheDrive& drive, int j, const Input& at) const {
-    return this->served(j) == Modes{} && drive.is_regular(at);
+  bool is_certainly_regular(const TheDrive& drive, int j, const Input& at) const {
+    return this->modes_of(j) == Modes{} && drive.is_regular(at);
   }
 
   template <class TheDrive>
-  ARM_APART void put_table(const TheDrive& drive, unsigned active, int j, int lane) {
-    copy(make_.template operator()<R>(LinearDrive<K, M>::of(drive, active)), j, lane);
+  ARM_APART void write_table(const TheDrive& drive, unsigned active, int j, int lane) {
+    copy(make_.template operator()<R>(LinearDrive<K, M>::linearise(drive, active)), j, lane);
   }
-  ARM_APART void change_table(int joint, unsigned active) {
+  ARM_APART void replace_table(int joint, unsigned active) {
     this->n_.for_each_drive([&](const auto& drive, int j) {
-      if (j == joint) put_table(drive, active, j, 0);
+      if (j == joint) write_table(drive, active, j, 0);
     });
   }
   void copy(const DriveTable<K, M, R>& table, int j, int lane) {
     for (int input = 0; input < In::count; ++input) {
-      if (kDifferentiates && input > 0 && !matters(input)) continue;
-      rhs_1.put(input, j, lane, table.rhs_1[input]);
-      rhs_2.put(input, j, lane, table.rhs_2[input]);
-      for (int k = 0; k < K; ++k) dz[k].put(input, j, lane, table.dz[k][input]);
+      if (kDifferentiates && input > 0 && !is_input_used(input)) continue;
+      rhs_1.set(input, j, lane, table.rhs_1[input]);
+      rhs_2.set(input, j, lane, table.rhs_2[input]);
+      for (int k = 0; k < K; ++k) dz[k].set(input, j, lane, table.dz[k][input]);
       if constexpr (!linear)
-        for (int k = 0; k < K; ++k) k_z[k].put(input, j, lane, table.k_z[k][input]);
+        for (int k = 0; k < K; ++k) k_z[k].set(input, j, lane, table.k_z[k][input]);
     }
     set_lane(diagonal[j], lane, table.diagonal);
   }

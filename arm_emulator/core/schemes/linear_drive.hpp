@@ -16,29 +16,29 @@ struct LinearDrive {
   X D[kRows], F[kRows][kColumns], G[kColumns];
 
   // Drives at rest.
-  static constexpr LinearDrive none() {
-    LinearDrive rests = {};
-    for (X& d : rests.D) d = X{} + 1.0;
-    return rests;
+  static constexpr LinearDrive make_resting() {
+    LinearDrive resting = {};
+    for (X& d : resting.D) d = X{} + 1.0;
+    return resting;
   }
   // Take over the numbers of one drive.
-  void put(int lane, const LinearDrive<K, M>& one) {
+  void write_lane(int lane, const LinearDrive<K, M>& drive) {
     for (int k = 0; k < K; ++k) {
-      set_lane(D[k], lane, one.D[k]);
-      for (int c = 0; c < kColumns; ++c) set_lane(F[k][c], lane, one.F[k][c]);
+      set_lane(D[k], lane, drive.D[k]);
+      for (int c = 0; c < kColumns; ++c) set_lane(F[k][c], lane, drive.F[k][c]);
     }
-    for (int c = 0; c < kColumns; ++c) set_lane(G[c], lane, one.G[c]);
+    for (int c = 0; c < kColumns; ++c) set_lane(G[c], lane, drive.G[c]);
   }
 
   template <class TheDrive>
-  ARM_APART static constexpr LinearDrive of(const TheDrive& whole, unsigned active) {
+  ARM_APART static constexpr LinearDrive linearise(const TheDrive& whole, unsigned active) {
     LinearDrive linear = {};
     const auto drive = whole.linear();
     const auto D = drive.D(active);
     for (int k = 0; k < K; ++k) linear.D[k] = k < TheDrive::states ? D.f[k] : 1.0;
     for (int column = 0; column < kColumns; ++column) {
       typename TheDrive::template Input<Real> one = {};
-      if (!set<TheDrive>(one, column, 1.0)) continue;
+      if (!set_input<TheDrive>(one, column, 1.0)) continue;
       const auto rates = drive.rates(one, active);
       for (int k = 0; k < TheDrive::states; ++k) linear.F[k][column] = rates.f[k];
       linear.G[column] = rates.g;
@@ -56,7 +56,7 @@ struct LinearDrive {
   }
 
   // E = (D - s F_z)^-1, by Gauss and Jordan with pivots.
-  ARM_INLINE constexpr void inverse(Real s, X (&E)[kRows][kRows]) const {
+  ARM_INLINE constexpr void invert(Real s, X (&E)[kRows][kRows]) const {
     X W[kRows][kRows];
     for (int r = 0; r < K; ++r)
       for (int c = 0; c < K; ++c) {
@@ -86,8 +86,8 @@ struct LinearDrive {
 
   // Set the input of a column; false if this drive does not have it.
   template <class TheDrive>
-  ARM_APART static constexpr bool set(typename TheDrive::template Input<Real>& x, int column,
-                                      Real value) {
+  ARM_APART static constexpr bool set_input(typename TheDrive::template Input<Real>& x, int column,
+                                            Real value) {
     if (column < K ? column >= TheDrive::states : column >= K + 3 + TheDrive::modes) return false;
     Real* const others[] = {&x.q, &x.v, &x.u};
     if (column < K)
@@ -108,11 +108,11 @@ struct LinearDrive {
 
   template <class TheDrive>
   static constexpr bool is_sound(const TheDrive& whole, unsigned active) {
-    const LinearDrive linear = of(whole, active);
+    const LinearDrive linear = linearise(whole, active);
     typename TheDrive::template Input<Real> x = {};
     Real input[kColumns] = {};
     for (int column = 0; column < kColumns; ++column)
-      if (set<TheDrive>(x, column, 1.0 + 0.37 * column)) input[column] = 1.0 + 0.37 * column;
+      if (set_input<TheDrive>(x, column, 1.0 + 0.37 * column)) input[column] = 1.0 + 0.37 * column;
     const auto rates = whole.linear().rates(x, active);
     const auto agrees = [&](Real answer, const Real(&row)[kColumns]) {
       Real sum = 0.0, size = 0.0;

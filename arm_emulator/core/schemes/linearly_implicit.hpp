@@ -24,8 +24,8 @@
 //                 only once. The error is O(h^2) again; where an acceleration jumps it is O(h),
 //                 but in the one step after it, which keeps the order.
 //
-// Drives that are not linear add their rest n (drive.hpp) to f, and n(y) - n(x) to d: both schemes
-// evaluate it, joint by joint.
+// Drives that are not linear add their nonlinear part n (drive.hpp) to f, and n(y) - n(x) to d:
+// both schemes evaluate it, joint by joint.
 #pragma once
 
 #include "mechanics/coulomb.hpp"
@@ -60,11 +60,11 @@ class LinearlyImplicit {
     else
       return Common(numbers, {step, stages});
   }
-  // For steps of another length in these modes, by `step_in`.
-  void retime(Real step, const Modes<S>& modes) {
+  // For steps of another length in these modes, by `step_in_modes`.
+  void set_step(Real step, const Modes<S>& modes) {
     h_ = step;
-    serve(modes);
-    tables_.retime({step, stages});
+    set_modes(modes);
+    tables_.set_step({step, stages});
   }
 
   ~LinearlyImplicit() { delete half_; }
@@ -72,11 +72,11 @@ class LinearlyImplicit {
   LinearlyImplicit& operator=(const LinearlyImplicit&) = delete;
 
   // The numbers of a lane have changed, or all.
-  void renew(int lane) { tables_.renew(lane); }
-  void renew() {
+  void update_tables(int lane) { tables_.update_tables(lane); }
+  void update_tables() {
     tables_.fill();
     regular_ = true;
-    if (half_) half_->renew();
+    if (half_) half_->update_tables();
   }
 
   // The links' accelerations in the first stage, and the torques M a + nle that they take there.
@@ -95,7 +95,7 @@ class LinearlyImplicit {
   void reset(const State<S, X>& x) {
     past() = {};
     if constexpr (!extrapolates) return;
-    inverse_dynamics_apart<S>(n_, x.q, x.v, past().a, past().torque);
+    compute_inverse_dynamics_apart<S>(n_, x.q, x.v, past().a, past().torque);
   }
   const Memory& memory() const { return past_[newest_]; }
   Memory& past() { return past_[newest_]; }
@@ -105,29 +105,29 @@ class LinearlyImplicit {
   void restore(const Memory& memory) { past() = memory; }
 
   // Serve the drives in these modes.
-  void serve(const Modes<S>& modes) {
+  void set_modes(const Modes<S>& modes) {
     if constexpr (Tables::modal)
-      for (int j = 0; j < N; ++j) tables_.serve(j, modes.drive[j]);
+      for (int j = 0; j < N; ++j) tables_.set_modes(j, modes.drive[j]);
   }
   // A step in the given modes, whether they hold or not (event_location.hpp).
-  void step_in(const Modes<S>& modes, State<S>& x, const Real (&u)[row], Dynamics links) {
-    serve(modes);
-    step_using_up(links, modes.friction, x, u);
+  void step_in_modes(const Modes<S>& modes, State<S>& x, const Real (&u)[row], Dynamics links) {
+    set_modes(modes);
+    step_consuming_links(links, modes.friction, x, u);
   }
-  // A step with the drives in the modes that the tables serve.
-  void step_in(const typename Coulomb<S, X>::Modes& friction, State<S, X>& x, const X (&u)[row],
-               Dynamics links) {
-    step_using_up(links, friction, x, u);
+  // A step with the drives in the modes of the tables.
+  void step_in_modes(const typename Coulomb<S, X>::Modes& friction, State<S, X>& x,
+                     const X (&u)[row], Dynamics links) {
+    step_consuming_links(links, friction, x, u);
   }
-  void step_using_up(Dynamics& links, const typename Coulomb<S, X>::Modes& friction, State<S, X>& x,
-                     const X (&u)[row]) {
+  void step_consuming_links(Dynamics& links, const typename Coulomb<S, X>::Modes& friction,
+                            State<S, X>& x, const X (&u)[row]) {
     Inputs in;
-    begin(x, u, in);
-    if constexpr (Tables::modal) tables_.put_modes(in);
+    load_inputs(x, u, in);
+    if constexpr (Tables::modal) tables_.write_modes(in);
     Accelerations own;
-    Accelerations& k1 = place_of_next(own);
-    begin_links(x, u, in, k1);
-    stages_of(x, u, links, in, k1, friction);
+    Accelerations& k1 = next_memory(own);
+    begin_link_stage(x, u, in, k1);
+    compute_stages(x, u, links, in, k1, friction);
     move_links(x, in);
     move_drives(x, in);
   }
@@ -136,31 +136,31 @@ class LinearlyImplicit {
   void step_at_rest(State<S, X>& x, const X (&u)[row], const Dynamics& links) {
     static_assert(stages == 2);
     Inputs in;
-    begin(x, u, in);
-    if constexpr (Tables::modal) tables_.put_modes(in);
+    load_inputs(x, u, in);
+    if constexpr (Tables::modal) tables_.write_modes(in);
     Accelerations own;
-    Accelerations& k1 = place_of_next(own);
-    begin_links<true>(x, u, in, k1);
+    Accelerations& k1 = next_memory(own);
+    begin_link_stage<true>(x, u, in, k1);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       k1.torque[j] -= k1.torque[j] - links.nle[j];
       k1.a[j] = X{};
     });
-    keep_past(k1);
+    store_past(k1);
     if constexpr (!Tables::linear) {
       X none[row];
-      evaluate_rest<true>(u, in, none);
+      evaluate_nonlinear_change<true>(u, in, none);
     }
     move_drives<true>(x, in);
   }
 
   // Set the past for a step from `start` to x that was taken otherwise; links and modes are those
   // at x.
-  void remember(const State<S, X>& start, const State<S, X>& x, const X (&u)[row],
+  void set_past(const State<S, X>& start, const State<S, X>& x, const X (&u)[row],
                 const Dynamics& links, const Modes<S>& modes) {
     if constexpr (extrapolates) {
       X a[N];
-      modes.accelerations(x, u, links, a, coulomb_);
-      torques_for<S>(n_, start.q, start.v, a, past().torque);
+      modes.compute_accelerations(x, u, links, a, coulomb_);
+      compute_link_torques<S>(n_, start.q, start.v, a, past().torque);
       for (int j = 0; j < N; ++j) past().a[j] = a[j];
     }
   }
@@ -170,50 +170,50 @@ class LinearlyImplicit {
   template <class Exchange>
   ARM_INLINE void step(State<S, X>& x, const X (&u)[row], Dynamics& links, Exchange& exchange) {
     Inputs in;
-    begin(x, u, in);
+    load_inputs(x, u, in);
     if constexpr (!Tables::modal) {
       Accelerations own;
-      Accelerations& k1 = place_of_next(own);
-      begin_links(x, u, in, k1);
-      exchange.take(links);
-      stages_of(x, u, links, in, k1, Undecided());
+      Accelerations& k1 = next_memory(own);
+      begin_link_stage(x, u, in, k1);
+      exchange.receive_links(links);
+      compute_stages(x, u, links, in, k1, Undecided());
       move_links(x, in);
-      coulomb_.stop_at_reversal(x.v);
-      exchange.give(x);
+      coulomb_.stop_reversed(x.v);
+      exchange.send_state(x);
       move_drives(x, in);
     } else {
-      exchange.take(links);
-      step_in_modes(x, u, links, in);
-      exchange.give(x);
+      exchange.receive_links(links);
+      search_modes(x, u, links, in);
+      exchange.send_state(x);
     }
   }
 
  private:
   using Inputs = typename Tables::Inputs;
   static constexpr bool extrapolates = S::Scheme::extrapolates;
-  static constexpr bool locates = kLocates<S>;
+  static constexpr bool locates = kLocatesEvents<S>;
   static constexpr int stages = S::Scheme::stages;
   static constexpr double gamma = gamma_of(stages);
   using Numbers = Row<N, X>;
   // In the place of the modes of the links, which the step then decides.
   struct Undecided {};
 
-  Accelerations& place_of_next(Accelerations& own) {
+  Accelerations& next_memory(Accelerations& own) {
     if constexpr (memories == 2)
       return past_[1 - newest_];
     else
       return own;
   }
 
-  ARM_INLINE void keep_past(const Accelerations& k1) {
+  ARM_INLINE void store_past(const Accelerations& k1) {
     if constexpr (memories == 2)
       newest_ = 1 - newest_;
     else if constexpr (extrapolates)
       past() = k1;
   }
 
-  ARM_INLINE void begin(State<S, X>& x, const X (&u)[row], Inputs& in) const {
-    if constexpr (kJumps<S>) begin_at_once(n_, x, u);
+  ARM_INLINE void load_inputs(State<S, X>& x, const X (&u)[row], Inputs& in) const {
+    if constexpr (kHasStartStates<S>) set_start_states(n_, x, u);
     for_each<K, kMaxStates>([&](auto k)
                                 __attribute__((always_inline)) { in[k] = Numbers::load(x.z[k]); });
     in[In::q] = Numbers::load(x.q);
@@ -223,37 +223,37 @@ class LinearlyImplicit {
   }
 
   // The torques of the drives in the links' first stage go to `k1.torque`.
-  template <bool rests = false>
-  ARM_INLINE void begin_links(const State<S, X>& x, const X (&u)[row], Inputs& in,
-                              Accelerations& k1) {
-    if constexpr (!Tables::linear) tables_.rest_at(x, u).put(in);
-    tables_.template first<rests>(in).store(k1.torque);
+  template <bool at_rest = false>
+  ARM_INLINE void begin_link_stage(const State<S, X>& x, const X (&u)[row], Inputs& in,
+                                   Accelerations& k1) {
+    if constexpr (!Tables::linear) tables_.compute_nonlinear_parts(x, u).write(in);
+    tables_.template compute_first_rhs<at_rest>(in).store(k1.torque);
   }
 
   // k1 and k2 of the links. `k1.torque` holds rhs_1.
-  ARM_INLINE void stages_of(const State<S, X>& x, const X (&u)[row], Dynamics& links, Inputs& in,
-                            Accelerations& k1, const auto& friction) {
+  ARM_INLINE void compute_stages(const State<S, X>& x, const X (&u)[row], Dynamics& links,
+                                 Inputs& in, Accelerations& k1, const auto& friction) {
     for_each<N>([&](auto j) __attribute__((always_inline)) { links.M.at[j][j] += n_.carried(j); });
     if constexpr (Coulomb<S, X>::loaded)
-      coulomb_.take(x, pulled_at_rest(x, in), u, tables_.modes());
+      coulomb_.set_friction(x, pull_drives_at_rest(x, in), u, tables_.modes());
     else
-      coulomb_.take(x, x, u, tables_.modes());
+      coulomb_.set_friction(x, x, u, tables_.modes());
     X change[row] = {};
     constexpr bool has_past = extrapolates && Tables::has_past;
-    if constexpr (has_past) extrapolate_change(links, change);
+    if constexpr (has_past) extrapolate_torque_change(links, change);
     first_stage(x, links, in, k1, friction);
-    keep_past(k1);
-    if constexpr (stages == 2 && !has_past) evaluate_change(x, k1, change);
-    if constexpr (stages == 2 && !Tables::linear) evaluate_rest(u, in, change);
+    store_past(k1);
+    if constexpr (stages == 2 && !has_past) evaluate_torque_change(x, k1, change);
+    if constexpr (stages == 2 && !Tables::linear) evaluate_nonlinear_change(u, in, change);
     if constexpr (stages == 2) second_stage(links, change, in);
   }
 
   // x with the drives after the first stage, the links at rest: the torque of a command that has
   // jumped acts there, and load friction must follow it.
-  ARM_INLINE State<S, X> pulled_at_rest(const State<S, X>& x, const Inputs& in) {
+  ARM_INLINE State<S, X> pull_drives_at_rest(const State<S, X>& x, const Inputs& in) {
     State<S, X> pulled = x;
     for_each<K, kMaxStates>([&](auto k) __attribute__((always_inline)) {
-      Numbers z = tables_.rates_at_rest(k, in);
+      Numbers z = tables_.compute_rates_at_rest(k, in);
       for_each<Numbers::groups>([&](auto g) __attribute__((always_inline)) {
         z.at[g] = fma(gamma * h_, z.at[g], in[k].at[g]);
       });
@@ -288,7 +288,7 @@ class LinearlyImplicit {
 
   ARM_INLINE void second_stage(const Dynamics& links, const X (&change)[row], Inputs& in) {
     alignas(64) X k2[row];
-    tables_.second(in).store(k2);
+    tables_.compute_second_rhs(in).store(k2);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       k2[j] = fma(-kSqrt2, links.nle[j] + coulomb_.force(j), k2[j] + change[j]);
     });
@@ -296,10 +296,10 @@ class LinearlyImplicit {
     in[In::k2] = Numbers::gather(k2);
   }
 
-  // The drives' part of d: how their rest, and friction of the links that varies, change from x to
-  // x + h k1.
-  template <bool rests = false>
-  ARM_INLINE void evaluate_rest(const X (&u)[row], Inputs& in, X (&change)[row]) {
+  // The drives' part of d: how their nonlinear parts, and friction of the links that varies, change
+  // from x to x + h k1.
+  template <bool at_rest = false>
+  ARM_INLINE void evaluate_nonlinear_change(const X (&u)[row], Inputs& in, X (&change)[row]) {
     State<S, X> y;
     Numbers number;
     const auto store = [&](auto&& of_group, X(&to)[row]) __attribute__((always_inline)) {
@@ -308,7 +308,7 @@ class LinearlyImplicit {
       number.store(to);
     };
     for_each<K, kMaxStates>([&](auto k) __attribute__((always_inline)) {
-      const Numbers rate = tables_.template rates<rests>(k, in);
+      const Numbers rate = tables_.template compute_rates<at_rest>(k, in);
       store([&](auto g) { return fma(h_, rate.at[g], in[k].at[g]); }, y.z[k]);
     });
     store(
@@ -317,21 +317,21 @@ class LinearlyImplicit {
         },
         y.q);
     store([&](auto g) { return fma(h_, in[In::k1].at[g], in[In::v].at[g]); }, y.v);
-    if constexpr (!rests && Coulomb<S, X>::varies)
+    if constexpr (!at_rest && Coulomb<S, X>::varies)
       coulomb_.add_change(y, u, tables_.modes(), change);
-    const auto rest = tables_.rest_at(y, u);
+    const auto nonlinear = tables_.compute_nonlinear_parts(y, u);
     for_each<Tables::R, kMaxInputs>([&](auto r) __attribute__((always_inline)) {
-      if (!Tables::matters(In::rest + r)) return;
-      const Numbers there = Numbers::gather(rest.at[r]);
+      if (!Tables::is_input_used(In::nonlinear + r)) return;
+      const Numbers there = Numbers::gather(nonlinear.at[r]);
       for_each<Numbers::groups>([&](auto g) __attribute__((always_inline)) {
-        in[In::change + r].at[g] = there.at[g] - in[In::rest + r].at[g];
+        in[In::change + r].at[g] = there.at[g] - in[In::nonlinear + r].at[g];
       });
     });
   }
 
   // d of `rosenbrock`.
-  ARM_INLINE void evaluate_change(const State<S, X>& x, const Accelerations& k1,
-                                  X (&change)[row]) const {
+  ARM_INLINE void evaluate_torque_change(const State<S, X>& x, const Accelerations& k1,
+                                         X (&change)[row]) const {
     X q[N], v[N];
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       q[j] = fma(h_, fma(gamma * h_, k1.a[j], x.v[j]), x.q[j]);
@@ -339,10 +339,10 @@ class LinearlyImplicit {
     });
     if constexpr (Tables::has_past) {
       typename Links<S, X>::Kinematics kinematics;
-      Links<S, X>::kinematics(n_, q, kinematics);
-      Links<S, X>::inverse_dynamics(n_, kinematics, v, k1.a, change);
+      Links<S, X>::compute_kinematics(n_, q, kinematics);
+      Links<S, X>::compute_inverse_dynamics(n_, kinematics, v, k1.a, change);
     } else {
-      inverse_dynamics_apart<S>(n_, q, v, k1.a, change);
+      compute_inverse_dynamics_apart<S>(n_, q, v, k1.a, change);
     }
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       change[j] = fma(-n_.carried(j), k1.a[j], k1.torque[j] - change[j]);
@@ -351,7 +351,7 @@ class LinearlyImplicit {
 
   // d of `extrapolated`: the torques M a + nle, for the accelerations of the step before, there and
   // here.
-  ARM_INLINE void extrapolate_change(const Dynamics& links, X (&change)[row]) const {
+  ARM_INLINE void extrapolate_torque_change(const Dynamics& links, X (&change)[row]) const {
     const auto& M = links.M.at;
     const Memory& past = memory();
     for_each<N>([&](auto j) __attribute__((always_inline)) {
@@ -376,10 +376,10 @@ class LinearlyImplicit {
     v.store(x.v);
   }
 
-  template <bool rests = false>
+  template <bool at_rest = false>
   ARM_INLINE void move_drives(State<S, X>& x, const Inputs& in) {
     Numbers z[K > 0 ? K : 1];
-    tables_.template add<stages, rests>(in, z);
+    tables_.template add_increments<stages, at_rest>(in, z);
     for_each<K, kMaxStates>([&](auto k) __attribute__((always_inline)) { z[k].store(x.z[k]); });
   }
 
@@ -389,26 +389,27 @@ class LinearlyImplicit {
   // changes at most 2^-kMaxHalvings of a step too late. (Shorter ones need not help: a rotor that
   // a wound-up gear begins to pull gathers its speed with h^3, which the error of a step exceeds at
   // any h.)
-  void step_in_modes(State<S>& x, const Real (&u)[row], const Dynamics& links, Inputs& in) {
+  void search_modes(State<S>& x, const Real (&u)[row], const Dynamics& links, Inputs& in) {
     if constexpr (locates)
-      step_in_modes_rarely(x, u, links, in);
+      search_modes_rarely(x, u, links, in);
     else
-      find_modes(x, u, links, in);
+      search_modes_inline(x, u, links, in);
   }
   // With located events: the rest of a step that has too many of them.
-  ARM_ONCE void step_in_modes_rarely(State<S>& x, const Real (&u)[row], const Dynamics& links,
-                                     Inputs& in) {
-    find_modes(x, u, links, in);
+  ARM_ONCE void search_modes_rarely(State<S>& x, const Real (&u)[row], const Dynamics& links,
+                                    Inputs& in) {
+    search_modes_inline(x, u, links, in);
   }
-  ARM_INLINE void find_modes(State<S>& x, const Real (&u)[row], const Dynamics& links, Inputs& in) {
+  ARM_INLINE void search_modes_inline(State<S>& x, const Real (&u)[row], const Dynamics& links,
+                                      Inputs& in) {
     constexpr int round_limit = 2 * N * Tables::M;
     const Memory memory = past();
     const bool begins_regular = regular_ && is_regular(n_, x, u);
-    if (!begins_regular) tables_.serve_modes_at(x, u);
+    if (!begins_regular) tables_.set_modes_at(x, u);
     State<S> y;
     for (int round = 0, mark = 1;; ++round) {
       past() = memory;
-      attempt(x, u, links, in, y);
+      attempt_step(x, u, links, in, y);
       if (begins_regular && round == 0 && is_regular(n_, y, u)) {
         x = y;
         return;
@@ -416,16 +417,16 @@ class LinearlyImplicit {
       const bool keeps = round > round_limit;  // those of the start, whether they hold or not
       if (keeps || tables_.correct_modes(x, y, u)) {
         x = y;
-        tables_.settle(x, u);
-        regular_ = !keeps && tables_.serves_regular();
+        tables_.enforce_modes(x, u);
+        regular_ = !keeps && tables_.has_regular_modes();
         return;
       }
       // A round depends on its modes alone: those that come again would come in all further rounds.
-      const bool comes_again = round > 0 && tables_.serves_marked();
+      const bool comes_again = round > 0 && tables_.has_marked_modes();
       if (round + 1 == mark) tables_.mark_modes(), mark *= 2;
       if (round < round_limit && !comes_again) continue;
       if (can_halve()) break;
-      tables_.serve_modes_at(x, u);
+      tables_.set_modes_at(x, u);
       round = round_limit;
     }
     regular_ = false;
@@ -433,16 +434,16 @@ class LinearlyImplicit {
     halve(x, u);
   }
 
-  // From x to y in the modes that the tables serve.
-  ARM_INLINE_ON_HOST void attempt(const State<S>& x, const Real (&u)[row], Dynamics links,
-                                  Inputs& in, State<S>& y) {
+  // From x to y in the modes of the tables.
+  ARM_INLINE_ON_HOST void attempt_step(const State<S>& x, const Real (&u)[row], Dynamics links,
+                                       Inputs& in, State<S>& y) {
     Accelerations k1;
     y = x;
-    tables_.put_modes(in);
-    begin_links(y, u, in, k1);
-    stages_of(y, u, links, in, k1, Undecided());
+    tables_.write_modes(in);
+    begin_link_stage(y, u, in, k1);
+    compute_stages(y, u, links, in, k1, Undecided());
     move_links(y, in);
-    coulomb_.stop_at_reversal(y.v);
+    coulomb_.stop_reversed(y.v);
     move_drives(y, in);
   }
 
@@ -456,9 +457,9 @@ class LinearlyImplicit {
     for (int part = 0; part < 2; ++part) {
       Dynamics links;
       Inputs in;
-      Links<S, X>::dynamics_apart(n_, x.q, x.v, links);
-      begin(x, u, in);
-      half_->step_in_modes(x, u, links, in);
+      Links<S, X>::compute_dynamics_apart(n_, x.q, x.v, links);
+      load_inputs(x, u, in);
+      half_->search_modes(x, u, links, in);
     }
     past() = half_->past();
     spare_ = half_->spare_;
@@ -476,7 +477,7 @@ class LinearlyImplicit {
   Real h_;
   const arm::Numbers<S, X>& n_;
   Tables tables_;
-  bool regular_ = true;  // all joints are served in their regular modes
+  bool regular_ = true;  // all joints are in their regular modes
   // Memories of the newest step, and in lanes of the step before: the next is written over that,
   // not copied.
   static constexpr int memories = extrapolates && kWidth<X> > 1 ? 2 : 1;

@@ -34,8 +34,8 @@ class PaperScheme {
   PaperScheme(const PaperScheme&) = delete;
 
   // The numbers of a lane have changed, or all.
-  void renew(int lane) { tables_.renew(lane); }
-  void renew() { tables_.fill(); }
+  void update_tables(int lane) { tables_.update_tables(lane); }
+  void update_tables() { tables_.fill(); }
 
   // The scheme has no past.
   struct Memory {
@@ -52,17 +52,17 @@ class PaperScheme {
   template <class Exchange>
   ARM_INLINE void step(State<S, X>& x, const X (&u)[row], Dynamics& links, Exchange& exchange) {
     alignas(64) X a[row];
-    drives(x, u, a);
-    exchange.take(links);
-    accelerations(x, u, links, a);
+    step_drives(x, u, a);
+    exchange.receive_links(links);
+    compute_accelerations(x, u, links, a);
     integrate(x, a);
-    exchange.give(x);
+    exchange.send_state(x);
   }
 
  private:
   // Eq. (3), the links held at sample k; `torque`: of the drives on the links after it.
-  ARM_INLINE void drives(State<S, X>& x, const X (&u)[row], X (&torque)[row]) {
-    if constexpr (kJumps<S>) begin_at_once(n_, x, u);
+  ARM_INLINE void step_drives(State<S, X>& x, const X (&u)[row], X (&torque)[row]) {
+    if constexpr (kHasStartStates<S>) set_start_states(n_, x, u);
     typename Tables::Inputs in;
     for_each<K, kMaxStates>(
         [&](auto k) __attribute__((always_inline)) { in[k] = Row<N, X>::load(x.z[k]); });
@@ -70,14 +70,14 @@ class PaperScheme {
     in[In::v] = Row<N, X>::load(x.v);
     in[In::u] = Row<N, X>::load(u);
     if constexpr (Tables::modal) choose_modes(x, u, in);
-    if constexpr (!Tables::linear) tables_.rest_at(x, u).put(in);
-    Tables::template answer<In::k1>(tables_.rhs_1, in, Tables::link).store(torque);
+    if constexpr (!Tables::linear) tables_.compute_nonlinear_parts(x, u).write(in);
+    Tables::template multiply<In::k1>(tables_.rhs_1, in, Tables::link).store(torque);
     for_each<K, kMaxStates>([&](auto k) __attribute__((always_inline)) {
-      auto z = Tables::template answer<In::k1>(tables_.dz[k], in, k);
+      auto z = Tables::template multiply<In::k1>(tables_.dz[k], in, k);
       for_each<z.groups>([&](auto g) __attribute__((always_inline)) { z.at[g] += in[k].at[g]; });
       z.store(x.z[k]);
     });
-    if constexpr (Tables::modal) tables_.settle(x, u);
+    if constexpr (Tables::modal) tables_.enforce_modes(x, u);
   }
 
   // The modes that hold at the end of the step, the link held: each drive finds its own.
@@ -87,24 +87,25 @@ class PaperScheme {
         const auto start = input_of(drive, j, x, u[j]);
         auto modes = drive.modes_at(start);
         for (int round = 0; round <= 2 * drive.modes; ++round) {
-          tables_.serve(j, resized<Tables::M>(modes));
-          const auto required = drive.required(start, tables_.end_of(drive, j, start), modes);
+          tables_.set_modes(j, resized<Tables::M>(modes));
+          const auto required =
+              drive.required(start, tables_.compute_end_state(drive, j, start), modes);
           if (required == modes) return;
           modes = required;
         }
       }
     });
-    tables_.put_modes(in);
+    tables_.write_modes(in);
   }
 
   // Eq. (4) with the motors at sample k + 1.
-  ARM_INLINE void accelerations(const State<S, X>& x, const X (&u)[row], Dynamics& links,
-                                X (&a)[row]) {
+  ARM_INLINE void compute_accelerations(const State<S, X>& x, const X (&u)[row], Dynamics& links,
+                                        X (&a)[row]) {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       links.M.at[j][j] += n_.carried(j);
       a[j] -= links.nle[j];
     });
-    coulomb_.take(x, x, u, tables_.modes());
+    coulomb_.set_friction(x, x, u, tables_.modes());
     coulomb_.solve(links.M.at, x.v, a);
   }
 
@@ -113,7 +114,7 @@ class PaperScheme {
       x.q[j] = fma(h_, x.v[j], x.q[j]);
       x.v[j] = fma(h_, a[j], x.v[j]);
     });
-    coulomb_.stop_at_reversal(x.v);
+    coulomb_.stop_reversed(x.v);
   }
 
   Real h_;

@@ -20,8 +20,8 @@ using MethodOf = typename S::Scheme::template Method<S, X>;
 
 // Replaces the exchange with the thread of the links.
 struct NullExchange {
-  void take(const auto&) {}
-  void give(const auto&) {}
+  void receive_links(const auto&) {}
+  void send_state(const auto&) {}
 };
 
 }  // namespace arm

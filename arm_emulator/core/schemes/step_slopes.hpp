@@ -52,8 +52,8 @@ class StepSlopes {
 
   // Take those of the step of `method` from x on, all without derivatives; `modes_at` gives the
   // modes at a state.
-  void take(Method& method, const Numbers<S>& n, const LinkSlopes<S>& links, const State<S>& x,
-            const Real (&u)[row], const Memory& past, double h, auto&& modes_at) {
+  void update(Method& method, const Numbers<S>& n, const LinkSlopes<S>& links, const State<S>& x,
+              const Real (&u)[row], const Memory& past, double h, auto&& modes_at) {
     for (int from = 0; from < inputs; from += width) {
       State<S> y = x;
       const auto seed = [from](Real& number, int input) {
@@ -67,20 +67,20 @@ class StepSlopes {
       const auto keep = [from](const Real& number, double (&of)[inputs]) {
         for (int d = 0; d < width && from + d < inputs; ++d) of[from + d] = number.by[d];
       };
-      for (int j = 0; j < N; ++j) serve(method, j, modes, h);
+      for (int j = 0; j < N; ++j) set_modes(method, j, modes, h);
       const Steps steps(method.tables(), n, modes.friction);
-      if constexpr (kJumps<S>) begin_at_once(n, y, u);
+      if constexpr (kHasStartStates<S>) set_start_states(n, y, u);
       typename Steps::Inputs in[N];
       Real puts[N];
       steps.for_each_joint([&](const auto& drive, const auto& linear, int j) {
-        puts[j] = steps.first(drive, linear, j, y, u[j], in[j]);
+        puts[j] = steps.compute_first_rhs(drive, linear, j, y, u[j], in[j]);
         keep(puts[j], first_[j]);
       });
       if (from == 0) solve_first(method, n, links, modes, puts);
       steps.for_each_joint([&](const auto& drive, const auto& linear, int j) {
         Real a = k1_[j];
         seed(a, k1);
-        puts[j] = steps.second(drive, linear, j, h, a, in[j]);
+        puts[j] = steps.compute_second_rhs(drive, linear, j, h, a, in[j]);
         keep(puts[j], second_[j]);
       });
       if (from == 0) solve_second(n, links, x, past, h, puts);
@@ -88,7 +88,7 @@ class StepSlopes {
         Real a = k2_[j];
         seed(a, k2);
         for (int k = 0; k < K; ++k) {
-          const Real z = steps.end(k, j, a, in[j]);
+          const Real z = steps.compute_end_state(k, j, a, in[j]);
           keep(z, z_[k][j]);
           end_z_[k][j] = z.value;
         }
@@ -97,41 +97,41 @@ class StepSlopes {
   }
 
   // Take what the numbers of `method` and n add.
-  void take_own(Method& method, const Numbers<S>& n, const Modes<S>& modes, State<S> x,
-                const Real (&u)[row], double h, Own& own) const {
+  void update_own(Method& method, const Numbers<S>& n, const Modes<S>& modes, State<S> x,
+                  const Real (&u)[row], double h, Own& own) const {
     for (int j = 0; j < N; ++j)
-      if (own.at[j]) serve(method, j, modes, h);
+      if (own.at[j]) set_modes(method, j, modes, h);
     const Steps steps(method.tables(), n, modes.friction);
-    if constexpr (kJumps<S>) begin_at_once(n, x, u);
+    if constexpr (kHasStartStates<S>) set_start_states(n, x, u);
     steps.for_each_joint([&](const auto& drive, const auto& linear, int j) {
       if (!own.at[j]) return;
       typename Steps::Inputs in;
-      own.first[j] = steps.first(drive, linear, j, x, u[j], in).by;
-      own.second[j] = steps.second(drive, linear, j, h, k1_[j], in).by;
-      for (int k = 0; k < K; ++k) own.z[k][j] = steps.end(k, j, k2_[j], in).by;
+      own.first[j] = steps.compute_first_rhs(drive, linear, j, x, u[j], in).by;
+      own.second[j] = steps.compute_second_rhs(drive, linear, j, h, k1_[j], in).by;
+      for (int k = 0; k < K; ++k) own.z[k][j] = steps.compute_end_state(k, j, k2_[j], in).by;
     });
-    take_inertia(method, n, own);
-    if (own.links) take_links_first(n, x, own), take_links_second(n, x, own);
+    update_inertia(method, n, own);
+    if (own.links) update_first_links(n, x, own), update_second_links(n, x, own);
   }
 
   // Move x over the step, and the memory of it.
-  void move(State<S>& x, Memory& past, const Own& own, double h) const {
+  void move_state(State<S>& x, Memory& past, const Own& own, double h) const {
     advance(
         x, past, own, h,
         [&](const auto& in, Row(&a)[N]) {
           for (int j = 0; j < N; ++j) {
-            a[j] = of_joint<v + 1>(first_[j], in, j);
+            a[j] = sum_joint<v + 1>(first_[j], in, j);
             if (own.at[j]) a[j] += own.first[j];
           }
         },
         [&](const auto& in, Row(&a)[N]) {
           for (int j = 0; j < N; ++j) {
-            a[j] = of_joint<k1 + 1>(second_[j], in, j);
+            a[j] = sum_joint<k1 + 1>(second_[j], in, j);
             if (own.at[j]) a[j] += own.second[j];
           }
         },
         [&](const auto& in, int k, int j) -> Real {
-          Row z = of_joint<inputs>(z_[k][j], in, j);
+          Row z = sum_joint<inputs>(z_[k][j], in, j);
           if (own.at[j]) z += own.z[k][j];
           return {end_z_[k][j], z};
         });
@@ -139,13 +139,13 @@ class StepSlopes {
 
   // Move one machine alone, from `start` with the derivatives of x: `method` and `own_n`
   // have those of its numbers.
-  void move_alone(Method& method, const Numbers<S>& own_n, const Numbers<S>& n,
-                  const LinkSlopes<S>& links, const Modes<S>& modes, const State<S>& start,
-                  State<S>& x, const Real (&u)[row], Memory& past, Own& own, double h) {
-    for (int j = 0; j < N; ++j) serve(method, j, modes, h);
-    take_inertia(method, own_n, own);
+  void move_single(Method& method, const Numbers<S>& own_n, const Numbers<S>& n,
+                   const LinkSlopes<S>& links, const Modes<S>& modes, const State<S>& start,
+                   State<S>& x, const Real (&u)[row], Memory& past, Own& own, double h) {
+    for (int j = 0; j < N; ++j) set_modes(method, j, modes, h);
+    update_inertia(method, own_n, own);
     const Steps steps(method.tables(), own_n, modes.friction);
-    if constexpr (kJumps<S>) begin_at_once(own_n, x, u);
+    if constexpr (kHasStartStates<S>) set_start_states(own_n, x, u);
     typename Steps::Inputs inputs_of[N];
     Real puts[N];
     const auto put = [&puts](Row(&a)[N]) {
@@ -155,22 +155,23 @@ class StepSlopes {
         x, past, own, h,
         [&](const auto&, Row(&a)[N]) {
           steps.for_each_joint([&](const auto& drive, const auto& linear, int j) {
-            puts[j] = steps.first(drive, linear, j, x, u[j], inputs_of[j]);
+            puts[j] = steps.compute_first_rhs(drive, linear, j, x, u[j], inputs_of[j]);
           });
           solve_first(method, n, links, modes, puts);
-          if (own.links) take_links_first(own_n, start, own);
+          if (own.links) update_first_links(own_n, start, own);
           put(a);
         },
         [&](const auto& in, Row(&a)[N]) {
           steps.for_each_joint([&](const auto& drive, const auto& linear, int j) {
-            puts[j] = steps.second(drive, linear, j, h, {k1_[j], in[k1][j]}, inputs_of[j]);
+            puts[j] =
+                steps.compute_second_rhs(drive, linear, j, h, {k1_[j], in[k1][j]}, inputs_of[j]);
           });
           solve_second(n, links, start, past, h, puts);
-          if (own.links) take_links_second(own_n, start, own);
+          if (own.links) update_second_links(own_n, start, own);
           put(a);
         },
         [&](const auto& in, int k, int j) {
-          return steps.end(k, j, {k2_[j], in[k2][j]}, inputs_of[j]);
+          return steps.compute_end_state(k, j, {k2_[j], in[k2][j]}, inputs_of[j]);
         });
   }
 
@@ -182,13 +183,13 @@ class StepSlopes {
   static constexpr int q = K, v = K + 1, k1 = K + 2, k2 = K + 3, inputs = K + 4;
   using Matrix = double[N][N];
 
-  ARM_INLINE static Row sum(const double (&of)[N], const Row* x) {
+  ARM_INLINE static Row sum_products(const double (&of)[N], const Row* x) {
     Row sum = of[0] * x[0];
     for (int i = 1; i < N; ++i) sum += of[i] * x[i];
     return sum;
   }
-  // The common part of move and move_alone: `first` and `second` give what the drives put on the
-  // links, `end` a state of a drive.
+  // The common part of move_state and move_single: `first` and `second` give what the drives put on
+  // the links, `end` a state of a drive.
   ARM_INLINE void advance(State<S>& x, Memory& past, const Own& own, double h, auto&& first,
                           auto&& second, auto&& end) const {
     constexpr double gamma = gamma_of(2);
@@ -201,7 +202,7 @@ class StepSlopes {
     first(in, a);
     for (int j = 0; j < N; ++j) {
       if constexpr (from_past) before[j] = past.a[j].by, torque_before[j] = past.torque[j].by;
-      torque[j] = sum(links_by_q_[j], in[q]) + sum(links_by_v_[j], in[v]);
+      torque[j] = sum_products(links_by_q_[j], in[q]) + sum_products(links_by_v_[j], in[v]);
       a[j] -= torque[j];
       if (own.at[j]) a[j] -= k1_[j] * (own.carried[j] + own.diagonal[j]);
       if (own.links) a[j] -= own.links_first[j], torque[j] += own.links_first[j];
@@ -209,14 +210,15 @@ class StepSlopes {
     solve(a);
     for (int j = 0; j < N; ++j) {
       in[k1][j] = a[j];
-      torque[j] += sum(M_[j], a);
+      torque[j] += sum_products(M_[j], a);
       if (own.at[j]) torque[j] += k1_[j] * own.carried[j];
     }
     second(in, a);
     const auto& from = from_past ? torque_before : torque;
     for (int j = 0; j < N; ++j) {
-      a[j] += from[j] + sum(second_by_q_[j], in[q]) + sum(second_by_v_[j], in[v]) +
-              sum(second_by_a_[j], from_past ? before : in[k1]);
+      a[j] += from[j] + sum_products(second_by_q_[j], in[q]) +
+              sum_products(second_by_v_[j], in[v]) +
+              sum_products(second_by_a_[j], from_past ? before : in[k1]);
       if (own.at[j])
         a[j] -= past_a_[j] * own.carried[j] + k2_[j] * (own.carried[j] + own.diagonal[j]);
       if (own.links) a[j] -= own.links_second[j];
@@ -236,36 +238,36 @@ class StepSlopes {
   }
 
   template <int end>
-  ARM_INLINE static Row of_joint(const double (&of)[inputs], const Row (&in)[inputs][N], int j) {
+  ARM_INLINE static Row sum_joint(const double (&of)[inputs], const Row (&in)[inputs][N], int j) {
     Row sum = of[0] * in[0][j];
     for (int input = 1; input < end; ++input) sum += of[input] * in[input][j];
     return sum;
   }
-  static void serve(Method& method, int j, const Modes<S>& modes, double h) {
+  static void set_modes(Method& method, int j, const Modes<S>& modes, double h) {
     Tables& tables = method.tables();
-    if constexpr (Tables::modal) tables.serve(j, modes.drive[j]);
-    if constexpr (requires { tables.retime({h, 2}, j); }) tables.retime({h, 2}, j);
+    if constexpr (Tables::modal) tables.set_modes(j, modes.drive[j]);
+    if constexpr (requires { tables.set_step({h, 2}, j); }) tables.set_step({h, 2}, j);
   }
-  static void take_inertia(Method& method, const Numbers<S>& n, Own& own) {
+  static void update_inertia(Method& method, const Numbers<S>& n, Own& own) {
     for (int j = 0; j < N; ++j)
       if (own.at[j])
         own.carried[j] = n.carried(j).by, own.diagonal[j] = method.tables().diagonal[j].by;
   }
-  void take_links_first(const Numbers<S>& n, const State<S>& x, Own& own) const {
+  void update_first_links(const Numbers<S>& n, const State<S>& x, Own& own) const {
     typename Links<S>::Dynamics of;
-    Links<S>::dynamics_apart(n, x.q, x.v, of);
+    Links<S>::compute_dynamics_apart(n, x.q, x.v, of);
     for (Row& row : own.links_first) row = Row{};
-    put_links(of, k1_, 1.0, own.links_first);
+    add_link_terms(of, k1_, 1.0, own.links_first);
   }
-  void take_links_second(const Numbers<S>& n, const State<S>& x, Own& own) const {
+  void update_second_links(const Numbers<S>& n, const State<S>& x, Own& own) const {
     typename Links<S>::Dynamics of;
-    Links<S>::dynamics_apart(n, x.q, x.v, of);
+    Links<S>::compute_dynamics_apart(n, x.q, x.v, of);
     for (Row& row : own.links_second) row = Row{};
-    put_links(of, k2_, kSqrt2, own.links_second);
-    if constexpr (!from_past) Links<S>::dynamics_apart(n, change_at_.q, change_at_.v, of);
-    put_links(of, past_a_, 1.0, own.links_second);
+    add_link_terms(of, k2_, kSqrt2, own.links_second);
+    if constexpr (!from_past) Links<S>::compute_dynamics_apart(n, change_at_.q, change_at_.v, of);
+    add_link_terms(of, past_a_, 1.0, own.links_second);
   }
-  static void put_links(const auto& of, const double* a, double of_nle, Row (&to)[N]) {
+  static void add_link_terms(const auto& of, const double* a, double of_nle, Row (&to)[N]) {
     for (int j = 0; j < N; ++j) {
       to[j] += of_nle * of.nle[j].by;
       for (int k = 0; k < N; ++k) to[j] += a[k] * of.M.entry(j, k).by;
@@ -311,7 +313,7 @@ class StepSlopes {
         change_at_.q[j] += h * (x.v[j] + gamma * h * k1_[j]);
         change_at_.v[j] += h * k1_[j];
       }
-      own.take(n, change_at_);
+      own.update(n, change_at_);
       at = &own;
     }
     Matrix by_q = {}, by_v;

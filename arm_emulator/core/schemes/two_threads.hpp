@@ -59,14 +59,14 @@ class TwoThreads {
   // `core`: of the Newton-Euler thread; -1, and on systems other than Linux: any.
   TwoThreads(double step, int core, const Numbers<S>& numbers)
       : h_(step), n_(numbers), stepper_(step, numbers), place_(core), newton_euler_([this] {
-          work();
+          evaluate_samples();
         }) {
-    put_on_core();
+    pin_to_core();
   }
 
   ~TwoThreads() {
     stopping_.store(true);
-    wake();
+    notify_thread();
   }
 
   // Schedule the Newton-Euler thread as the caller is. It must not be less urgent than the thread
@@ -81,8 +81,8 @@ class TwoThreads {
   // In a forked child, which has not got the Newton-Euler thread, between two bursts: begin one.
   void begin_thread() {
     // The handle is of the parent's thread and must not be joined.
-    new (&newton_euler_) std::jthread([this] { work(); });
-    put_on_core();
+    new (&newton_euler_) std::jthread([this] { evaluate_samples(); });
+    pin_to_core();
   }
 
   // State at which a links' part is evaluated.
@@ -109,7 +109,7 @@ class TwoThreads {
   };
 
   // The numbers have changed; `restore` comes next.
-  void renew() { stepper_.renew(); }
+  void update_tables() { stepper_.update_tables(); }
 
   // Begin at a state with no past.
   void reset(const State<S>& x) {
@@ -128,50 +128,50 @@ class TwoThreads {
     return memory;
   }
 
-  // Go back to a memory. The links' parts are worked out anew, by the same instructions.
+  // Go back to a memory. The links' parts are computed again, by the same instructions.
   void restore(const Memory& memory) {
     past_ = memory;
     stepper_.restore(memory.stepper);
     for (int i = 0; i < D; ++i)
-      evaluate(past_.links[i], parcels_[slot(asked_.load() - D + i)].links);
+      evaluate(past_.links[i], buffers_[slot(published_.load() - D + i)].links);
   }
 
   // A burst of `count` steps is coming, one by one, from the state x.
-  void begin(std::int64_t count, const State<S>& x) {
+  void begin_burst(std::int64_t count, const State<S>& x) {
     if (count == 0) return;
-    target_.store(asked_.load() + count);
-    hand_over(x);
-    wake();
+    target_.store(published_.load() + count);
+    publish_sample(x);
+    notify_thread();
   }
 
   // The burst is over, or broken off. The Newton-Euler thread goes to sleep.
-  void end() {
-    target_.store(asked_.load());
-    wait_for(asked_.load());
+  void end_burst() {
+    target_.store(published_.load());
+    wait_for_links(published_.load());
   }
 
   // From sample k to k + 1. Sample k is with the Newton-Euler thread already.
   ARM_INLINE void step(State<S>& x, const double (&u)[Stepper::row]) {
     for (int j = 0; j < N; ++j) past_.v[j] = x.v[j];
     for (int i = 1; i < D; ++i) past_.links[i - 1] = past_.links[i];
-    past_.links[D - 1] = samples_[slot(newest())];
+    past_.links[D - 1] = samples_[slot(newest_sample())];
     Dynamics links;
     stepper_.step(x, u, links, *this);
   }
 
   // The stepper asks for the links' part in step k: that of sample k - D.
-  ARM_INLINE void take(Dynamics& links) {
-    const std::int64_t k = newest();
-    wait_for(k - D + 1);
-    const Parcel& parcel = parcels_[slot(k - D)];
-    parcel.fetch();
-    parcel.copy_to(links);
+  ARM_INLINE void receive_links(Dynamics& links) {
+    const std::int64_t k = newest_sample();
+    wait_for_links(k - D + 1);
+    const LinkBuffer& buffer = buffers_[slot(k - D)];
+    buffer.prefetch_lines();
+    buffer.copy_to(links);
   }
 
   // The stepper has the links of sample k + 1, before it is done with the motors.
-  ARM_INLINE void give(const State<S>& x) {
-    if (asked_.load(std::memory_order_relaxed) < target_.load(std::memory_order_relaxed))
-      hand_over(x);
+  ARM_INLINE void send_state(const State<S>& x) {
+    if (published_.load(std::memory_order_relaxed) < target_.load(std::memory_order_relaxed))
+      publish_sample(x);
   }
 
  private:
@@ -180,10 +180,10 @@ class TwoThreads {
   static std::size_t slot(std::int64_t k) { return static_cast<std::size_t>(k + slots) % slots; }
 
   // The sample that was handed over last.
-  std::int64_t newest() const { return asked_.load(std::memory_order_relaxed) - 1; }
+  std::int64_t newest_sample() const { return published_.load(std::memory_order_relaxed) - 1; }
 
-  ARM_INLINE void hand_over(const State<S>& x) {
-    const std::int64_t k = asked_.load(std::memory_order_relaxed);
+  ARM_INLINE void publish_sample(const State<S>& x) {
+    const std::int64_t k = published_.load(std::memory_order_relaxed);
     Sample& sample = samples_[slot(k)];
     // With a constant change of v per step: D steps ahead v has changed by D of them, and the sum
     // of the speeds that the links moved on with, by `sum`.
@@ -194,22 +194,22 @@ class TwoThreads {
       sample.v[j] = x.v[j] + ahead * change;
       sample.q[j] = x.q[j] + ahead * h_ * (x.v[j] + sum * change);
     }
-    asked_.store(k + 1, std::memory_order_release);
+    published_.store(k + 1, std::memory_order_release);
   }
 
   static constexpr double end_of_step = S::Scheme::end_of_step;
 
   struct alignas(64) Sample : Place {
-    ARM_INLINE void fetch() const { prefetch(this->q, this->v + N); }
+    ARM_INLINE void prefetch_lines() const { prefetch(this->q, this->v + N); }
   };
 
   // The links' part on its way between the cores. Only the numbers that have a meaning are read:
   // each cache line costs time on its way.
-  struct Parcel {
+  struct LinkBuffer {
     Dynamics links;
 
     // Ask for the cache lines, all at once, before they are read one by one.
-    ARM_INLINE void fetch() const {
+    ARM_INLINE void prefetch_lines() const {
       prefetch(links.nle, links.nle + N);
       for (int j = 0; j < N; ++j)
         prefetch(links.M.at[j] + first_lane<N>(j), links.M.at[j] + kPadded<N>);
@@ -228,10 +228,10 @@ class TwoThreads {
 
   // Not inlined: the same bits whichever thread works.
   __attribute__((noinline)) void evaluate(const Place& at, Dynamics& result) const {
-    Links<S>::dynamics(n_, at.q, at.v, result);
+    Links<S>::compute_dynamics(n_, at.q, at.v, result);
   }
 
-  void put_on_core() {
+  void pin_to_core() {
 #ifdef __linux__
     if (place_ < 0) return;
     cpu_set_t cores;
@@ -242,51 +242,52 @@ class TwoThreads {
   }
 
   // The Newton-Euler thread.
-  void work() {
+  void evaluate_samples() {
     std::int64_t k = done_.load(),
                  here = k;  // samples that are worked on, that have been handed over
     for (;;) {
-      const std::uint32_t alarm = alarm_.load();
+      const std::uint32_t signal = signal_.load();
       while (here > k || k < target_.load(std::memory_order_relaxed)) {
         Spin spin;
         while (here <= k) {
-          here = asked_.load(std::memory_order_acquire);
+          here = published_.load(std::memory_order_acquire);
           if (here > k || k >= target_.load(std::memory_order_relaxed)) break;
           spin();
         }
         if (here <= k) break;
-        Parcel& parcel = parcels_[slot(k)];
-        if (here > k + 1) samples_[slot(k + 1)].fetch();
-        evaluate(samples_[slot(k)], parcel.links);
+        LinkBuffer& buffer = buffers_[slot(k)];
+        if (here > k + 1) samples_[slot(k + 1)].prefetch_lines();
+        evaluate(samples_[slot(k)], buffer.links);
         done_.store(++k, std::memory_order_release);
       }
       if (stopping_.load()) return;
-      alarm_.wait(alarm);
+      signal_.wait(signal);
     }
   }
 
   // Until the links' parts of the first `k` samples are there.
-  void wait_for(std::int64_t k) const {
+  void wait_for_links(std::int64_t k) const {
     Spin spin;
     while (done_.load(std::memory_order_acquire) < k) spin();
   }
 
-  void wake() {
-    alarm_.fetch_add(1);
-    alarm_.notify_one();
+  void notify_thread() {
+    signal_.fetch_add(1);
+    signal_.notify_one();
   }
 
   double h_;
   const Numbers<S>& n_;
   Memory past_ = {};
   Sample samples_[slots] = {};
-  Parcel parcels_[slots] = {};
+  LinkBuffer buffers_[slots] = {};
   // Each counter on a cache line of its own: who writes it does not disturb who reads the other.
-  alignas(64) std::atomic<std::int64_t> asked_ = 0;  // samples handed to the Newton-Euler thread
-  alignas(64) std::atomic<std::int64_t> done_ = 0;   // links' parts that are ready
+  alignas(64) std::atomic<std::int64_t> published_ =
+      0;                                            // samples handed to the Newton-Euler thread
+  alignas(64) std::atomic<std::int64_t> done_ = 0;  // links' parts that are ready
   alignas(64) std::atomic<std::int64_t> target_ =
-      0;                                  // samples that the burst will have handed over
-  std::atomic<std::uint32_t> alarm_ = 0;  // changes to wake the sleeper
+      0;                                   // samples that the burst will have handed over
+  std::atomic<std::uint32_t> signal_ = 0;  // changes to wake the sleeper
   std::atomic<bool> stopping_ = false;
   alignas(64) Stepper stepper_;
   int place_;                  // core of the thread; -1: any

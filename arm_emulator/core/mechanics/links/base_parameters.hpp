@@ -40,15 +40,15 @@ struct BaseParameters {
       const auto at = [&] {
         using Placement = PlacementIn<S, Real>;
         if constexpr (kPlacesVary<S>) {
-          return Placement::of(place[j], 0.0, 1.0, place[j].p);
+          return Placement::make(place[j], 0.0, 1.0, place[j].p);
         } else {
           const Real sin = is_revolute ? 0.0 : link[j].sin_theta_0,
                      cos = is_revolute ? 1.0 : link[j].cos_theta_0;
-          return Placement::of(link[j], sin, cos, link[j].p);
+          return Placement::make(link[j], sin, cos, link[j].p);
         }
       }();
       Body<Real>& parent = link[j].parent < 0 ? fixed : body[link[j].parent];
-      parent = joined(parent, at, moving);
+      parent = join_bodies(parent, at, moving);
     }
   }
 };

@@ -18,10 +18,10 @@ class ExternalWork {
   }
 
   // From the state before, or the reset, to x.
-  Real since(const Numbers<S>& n, const State<S>& x) {
+  Real add_since(const Numbers<S>& n, const State<S>& x) {
     Real there[N], here[N], work = 0.0;
-    torques(n, q_, there);
-    torques(n, x.q, here);
+    compute_torques(n, q_, there);
+    compute_torques(n, x.q, here);
     for (int j = 0; j < N; ++j) work += 0.5 * (there[j] + here[j]) * (x.q[j] - q_[j]);
     reset(x);
     return work;
@@ -35,10 +35,10 @@ class ExternalWork {
   }
 
  private:
-  static void torques(const Numbers<S>& n, const Real* q, Real* tau) {
+  static void compute_torques(const Numbers<S>& n, const Real* q, Real* tau) {
     typename Links<S>::Kinematics kinematics;
-    Links<S>::kinematics(n, q, kinematics);
-    Links<S>::external_torques(n, kinematics, tau);
+    Links<S>::compute_kinematics(n, q, kinematics);
+    Links<S>::compute_external_torques(n, kinematics, tau);
   }
 
   Real q_[S::external_wrench ? N : 1] = {};

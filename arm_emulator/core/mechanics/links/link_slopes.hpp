@@ -14,14 +14,14 @@ class LinkSlopes {
   using Dynamics = typename Links<S>::Dynamics;
 
   // `values`: the machine's numbers, without derivatives.
-  void take(const Numbers<S>& values, const State<S>& x) {
+  void update(const Numbers<S>& values, const State<S>& x) {
     for (int first = 0; first < 2 * N; first += width) {
       Real q[N], v[N];
       for (int j = 0; j < N; ++j) q[j] = x.q[j].value, v[j] = x.v[j].value;
       for (int i = first; i < 2 * N && i < first + width; ++i)
         (i < N ? q[i] : v[i - N]).by[i - first] = 1.0;
       if (first < N)
-        Links<S>::dynamics_apart(values, q, v, at_);
+        Links<S>::compute_dynamics_apart(values, q, v, at_);
       else
         nle_apart(values, q, v, at_.nle);
       for (int i = first; i < 2 * N && i < first + width; ++i)
@@ -51,11 +51,11 @@ class LinkSlopes {
       for (int i = 0; i < N; ++i) out[j][i] = nle_[j][N + i];
   }
   // Whether the links of a machine have derivatives of their own.
-  static bool own(const Numbers<S>& numbers, const State<S>& x) {
+  static bool has_own_slopes(const Numbers<S>& numbers, const State<S>& x) {
     Real q[N], v[N];
     for (int j = 0; j < N; ++j) q[j] = x.q[j].value + 0.1, v[j] = 1.0;
     Dynamics links;
-    Links<S>::dynamics_apart(numbers, q, v, links);
+    Links<S>::compute_dynamics_apart(numbers, q, v, links);
     bool result = false;
     for (int j = 0; j < N; ++j) {
       result = result || has_derivatives(links.nle[j]);
@@ -67,8 +67,8 @@ class LinkSlopes {
  private:
   static ARM_APART void nle_apart(const Numbers<S>& n, const Real* q, const Real* v, Real* nle) {
     typename Links<S>::Kinematics kinematics;
-    Links<S>::kinematics(n, q, kinematics);
-    Links<S>::inverse_dynamics(n, kinematics, v, nullptr, nle);
+    Links<S>::compute_kinematics(n, q, kinematics);
+    Links<S>::compute_inverse_dynamics(n, kinematics, v, nullptr, nle);
   }
 
   Dynamics at_;

@@ -29,7 +29,7 @@ struct LinkDynamics {
 template <class S, class X = Real>
 struct LinkTree {
   static constexpr int N = S::L;
-  static constexpr bool forks = kTree<S>.forks, unrolled = kTree<S>.unrolled();
+  static constexpr bool forks = kTree<S>.forks, unrolled = kTree<S>.is_unrolled();
   using Numbers = arm::Numbers<S, X>;
   using Placement = PlacementIn<S, X>;
 
@@ -45,32 +45,33 @@ struct LinkTree {
     return kLinks<S>.at[i].kind == JointKind::revolute;
   }
 
-  static ARM_INLINE void kinematics([[maybe_unused]] const Numbers& n, const X* q, Kinematics& k) {
+  static ARM_INLINE void compute_kinematics([[maybe_unused]] const Numbers& n, const X* q,
+                                            Kinematics& k) {
     X theta[N];
     SinCos<X> turn[N];
     for_each<N>([&](auto i) __attribute__((always_inline)) {
       theta[i] = revolute(i) ? q[i] : X{};
       if constexpr (!kPlacesVary<S>) theta[i] = theta[i] + kLinks<S>.at[i].theta_0;
     });
-    sines(theta, turn);
+    compute_sines(theta, turn);
     for_each<N>([&](auto i) __attribute__((always_inline)) {
       const auto& joint = n.place(i);
       const X d = revolute(i) ? X{} : q[i];
       k.link[i] =
-          Placement::of(joint, turn[i].sin, turn[i].cos, joint.p + d * Placement::axis(joint));
+          Placement::make(joint, turn[i].sin, turn[i].cos, joint.p + d * Placement::axis(joint));
     });
   }
 
   // Torques that give the accelerations `a` at (q, v): M a + nle. With `a` null: nle alone.
-  static ARM_INLINE void inverse_dynamics(const Numbers& n, const Kinematics& k, const X* v,
-                                          const X* a, X* tau) {
+  static ARM_INLINE void compute_inverse_dynamics(const Numbers& n, const Kinematics& k, const X* v,
+                                                  const X* a, X* tau) {
     Wrench<X> wrench[N];
-    wrenches(n, k, v, a, wrench);
-    for_each_reverse<N>([&](auto i)
-                            __attribute__((always_inline)) { tau[i] = pass_down(k, i, wrench); });
+    compute_wrenches(n, k, v, a, wrench);
+    for_each_reverse<N>(
+        [&](auto i) __attribute__((always_inline)) { tau[i] = add_to_parent(k, i, wrench); });
   }
 
-  static ARM_INLINE void mass_matrix(const Numbers& n, const Kinematics& k, MassMatrix& M) {
+  static ARM_INLINE void compute_mass_matrix(const Numbers& n, const Kinematics& k, MassMatrix& M) {
     Carried carried(n);
     for_each_reverse<N, unrolled ? kUnrollLimit : kUnrollNested>(
         [&](auto i) __attribute__((always_inline)) { carried.fill_row(n, k, i, M); });
@@ -78,44 +79,45 @@ struct LinkTree {
 
   // With few joints one loop runs both recursions: the processor works on one while the other waits
   // for its last result.
-  static ARM_INLINE void dynamics(const Numbers& n, const X* q, const X* v, Dynamics& links) {
+  static ARM_INLINE void compute_dynamics(const Numbers& n, const X* q, const X* v,
+                                          Dynamics& links) {
     Kinematics k;
-    kinematics(n, q, k);
+    compute_kinematics(n, q, k);
     if constexpr (!unrolled) {
-      inverse_dynamics(n, k, v, nullptr, links.nle);
-      mass_matrix(n, k, links.M);
+      compute_inverse_dynamics(n, k, v, nullptr, links.nle);
+      compute_mass_matrix(n, k, links.M);
     } else {
       Wrench<X> wrench[N];
-      wrenches(n, k, v, nullptr, wrench);
+      compute_wrenches(n, k, v, nullptr, wrench);
       Carried carried(n);
       for_each_reverse<N>([&](auto i) __attribute__((always_inline)) {
-        links.nle[i] = pass_down(k, i, wrench);
+        links.nle[i] = add_to_parent(k, i, wrench);
         carried.fill_row(n, k, i, links.M);
       });
     }
   }
 
   // Dynamics, not inlined, for rare calls.
-  static __attribute__((noinline)) void dynamics_apart(const Numbers& n, const X* q, const X* v,
-                                                       Dynamics& links) {
-    dynamics(n, q, v, links);
+  static __attribute__((noinline)) void compute_dynamics_apart(const Numbers& n, const X* q,
+                                                               const X* v, Dynamics& links) {
+    compute_dynamics(n, q, v, links);
   }
 
   // Torques J^T w that the external wrenches put on the joints.
-  static void external_torques(const Numbers& n, const Kinematics& k, X* tau) {
+  static void compute_external_torques(const Numbers& n, const Kinematics& k, X* tau) {
     Wrench<X> wrench[N];
     BaseAxes base[N];
     for (int i = 0; i < N; ++i) {
       if (const int p = kTree<S>.parent[i]; p >= 0) base[i] = base[p];
-      base[i].go_on(k.link[i]);
+      base[i].rotate(k.link[i]);
       wrench[i] = n.external_wrench(i).at_origin(base[i].x, base[i].y);
     }
-    for (int i = N - 1; i >= 0; --i) tau[i] = pass_down(k, i, wrench);
+    for (int i = N - 1; i >= 0; --i) tau[i] = add_to_parent(k, i, wrench);
   }
 
   // Kinetic energy is v^T M v / 2; this is the potential energy in the field of gravity, zero with
   // every centre of mass at the world's origin.
-  static X potential_energy(const Numbers& n, const Kinematics& k) {
+  static X compute_potential_energy(const Numbers& n, const Kinematics& k) {
     Vec3<X> carried_h;
     Real m = 0.0;
     [[maybe_unused]] Vec3<X> h[forks ? N : 1], of_base;
@@ -135,8 +137,8 @@ struct LinkTree {
 
  private:
   // Wrenches of each link's own motion, without the links after it.
-  static ARM_INLINE void wrenches(const Numbers& n, const Kinematics& k, const X* v, const X* a,
-                                  Wrench<X> (&wrench)[N]) {
+  static ARM_INLINE void compute_wrenches(const Numbers& n, const Kinematics& k, const X* v,
+                                          const X* a, Wrench<X> (&wrench)[N]) {
     BaseAxes base;
     Vec3<X> omega, alpha;  // of the parent link, in its frame
     // Acceleration of the parent's origin; an upward acceleration represents gravity.
@@ -169,7 +171,7 @@ struct LinkTree {
       wrench[i].f = fma(body.m, acc, cross(omega, cross(omega, body.h), cross(alpha, body.h)));
       wrench[i].n = cross(body.h, acc, cross(omega, body.I * omega, body.I * alpha));
       if constexpr (S::external_wrench) {
-        base.go_on(link);
+        base.rotate(link);
         const Wrench<X> outside = n.external_wrench(i).at_origin(base.x, base.y);
         wrench[i] = {wrench[i].f - outside.f, wrench[i].n - outside.n};
       }
@@ -203,7 +205,7 @@ struct LinkTree {
   }
 
   // Add the wrench of link i to its parent's; return joint i's part of it.
-  static ARM_INLINE X pass_down(const Kinematics& k, auto i, Wrench<X> (&wrench)[N]) {
+  static ARM_INLINE X add_to_parent(const Kinematics& k, auto i, Wrench<X> (&wrench)[N]) {
     if (!on_base(i)) wrench[parent(i)] = sum(wrench[parent(i)], k.link[i], wrench[i]);
     return revolute(i) ? wrench[i].n.z : wrench[i].f.z;
   }
@@ -217,11 +219,11 @@ struct LinkTree {
     Body<X> bodies[forks ? N : 1];  // of links whose branches are not all taken yet
 
     ARM_INLINE explicit Carried(const Numbers& n)
-        : body(over<X>(n.body(std::integral_constant<int, N - 1>{}))) {}
+        : body(convert_body<X>(n.body(std::integral_constant<int, N - 1>{}))) {}
 
     ARM_INLINE void fill_row(const Numbers& n, const Kinematics& k, auto i, MassMatrix& M) {
       const bool rotates = revolute(i);
-      if constexpr (forks) body = kTree<S>.is_leaf(i) ? over<X>(n.body(i)) : bodies[i];
+      if constexpr (forks) body = kTree<S>.is_leaf(i) ? convert_body<X>(n.body(i)) : bodies[i];
       fx[i] = rotates ? -body.h.y : X{};
       fy[i] = rotates ? body.h.x : X{};
       fz[i] = rotates ? X{} : body.m;
@@ -240,17 +242,17 @@ struct LinkTree {
       });
       const auto p = parent(i);
       if constexpr (!forks)
-        body = joined(n.body(p), k.link[i], body);
+        body = join_bodies(n.body(p), k.link[i], body);
       else if (kTree<S>.is_last_child(i))
-        bodies[p] = joined(n.body(p), k.link[i], body);
+        bodies[p] = join_bodies(n.body(p), k.link[i], body);
       else
-        bodies[p] = joined(bodies[p], k.link[i], body);
+        bodies[p] = join_bodies(bodies[p], k.link[i], body);
     }
   };
 
   // Sine and cosine of each angle: of many joints in vectors; with few joints, filling the vectors
   // takes longer than they save.
-  static ARM_INLINE void sines(const X (&theta)[N], SinCos<X> (&turn)[N]) {
+  static ARM_INLINE void compute_sines(const X (&theta)[N], SinCos<X> (&turn)[N]) {
     if constexpr (N <= kUnrollNested) {
       for_each<N>([&](auto i) __attribute__((always_inline)) { turn[i] = sincos(theta[i]); });
     } else {
@@ -271,7 +273,7 @@ struct LinkTree {
   // The base's x and y as seen from one link after the other.
   struct BaseAxes {
     Vec3<X> x = {X{} + 1.0, X{}, X{}}, y = {X{}, X{} + 1.0, X{}};
-    ARM_INLINE void go_on(const Placement& link) { x = link.to_child(x), y = link.to_child(y); }
+    ARM_INLINE void rotate(const Placement& link) { x = link.to_child(x), y = link.to_child(y); }
   };
 
   static ARM_INLINE Wrench<X> sum(const Wrench<X>& parent, const Placement& link,

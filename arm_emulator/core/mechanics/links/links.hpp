@@ -25,51 +25,52 @@ struct CoupledLinks {
   using MassMatrix = arm::MassMatrix<N, X>;
   using Dynamics = LinkDynamics<N, X>;
 
-  static ARM_INLINE void kinematics(const Numbers& n, const X* p, Kinematics& k) {
+  static ARM_INLINE void compute_kinematics(const Numbers& n, const X* p, Kinematics& k) {
     X q[L];
-    joints(p, q);
+    map_to_joints(p, q);
     for_each<L>([&](auto i)
                     __attribute__((always_inline)) { q[i] = q[i] + S::coupling_offset[i]; });
-    Tree::kinematics(n, q, k);
+    Tree::compute_kinematics(n, q, k);
   }
 
-  static ARM_INLINE void inverse_dynamics(const Numbers& n, const Kinematics& k, const X* v,
-                                          const X* a, X* tau) {
+  static ARM_INLINE void compute_inverse_dynamics(const Numbers& n, const Kinematics& k, const X* v,
+                                                  const X* a, X* tau) {
     X joint_v[L], joint_a[L], joint_tau[L];
-    joints(v, joint_v);
-    if (a) joints(a, joint_a);
-    Tree::inverse_dynamics(n, k, joint_v, a ? joint_a : nullptr, joint_tau);
-    shafts(joint_tau, tau);
+    map_to_joints(v, joint_v);
+    if (a) map_to_joints(a, joint_a);
+    Tree::compute_inverse_dynamics(n, k, joint_v, a ? joint_a : nullptr, joint_tau);
+    map_to_shafts(joint_tau, tau);
   }
 
-  static ARM_INLINE void mass_matrix(const Numbers& n, const Kinematics& k, MassMatrix& M) {
+  static ARM_INLINE void compute_mass_matrix(const Numbers& n, const Kinematics& k, MassMatrix& M) {
     typename Tree::MassMatrix of_joints;
-    Tree::mass_matrix(n, k, of_joints);
+    Tree::compute_mass_matrix(n, k, of_joints);
     project(of_joints, M);
   }
 
-  static ARM_INLINE void dynamics(const Numbers& n, const X* p, const X* v, Dynamics& links) {
+  static ARM_INLINE void compute_dynamics(const Numbers& n, const X* p, const X* v,
+                                          Dynamics& links) {
     Kinematics k;
-    kinematics(n, p, k);
-    inverse_dynamics(n, k, v, nullptr, links.nle);
-    mass_matrix(n, k, links.M);
+    compute_kinematics(n, p, k);
+    compute_inverse_dynamics(n, k, v, nullptr, links.nle);
+    compute_mass_matrix(n, k, links.M);
   }
-  static __attribute__((noinline)) void dynamics_apart(const Numbers& n, const X* p, const X* v,
-                                                       Dynamics& links) {
-    dynamics(n, p, v, links);
+  static __attribute__((noinline)) void compute_dynamics_apart(const Numbers& n, const X* p,
+                                                               const X* v, Dynamics& links) {
+    compute_dynamics(n, p, v, links);
   }
 
-  static void external_torques(const Numbers& n, const Kinematics& k, X* tau) {
+  static void compute_external_torques(const Numbers& n, const Kinematics& k, X* tau) {
     X joint_tau[L];
-    Tree::external_torques(n, k, joint_tau);
-    shafts(joint_tau, tau);
+    Tree::compute_external_torques(n, k, joint_tau);
+    map_to_shafts(joint_tau, tau);
   }
-  static X potential_energy(const Numbers& n, const Kinematics& k) {
-    return Tree::potential_energy(n, k);
+  static X compute_potential_energy(const Numbers& n, const Kinematics& k) {
+    return Tree::compute_potential_energy(n, k);
   }
 
   // C x: speeds or accelerations of the joints from those of the shafts.
-  static ARM_INLINE void joints(const X* of_shafts, X* of_joints) {
+  static ARM_INLINE void map_to_joints(const X* of_shafts, X* of_joints) {
     for_each<L>([&](auto i) __attribute__((always_inline)) {
       of_joints[i] = X{};
       for_each<N>([&](auto j) __attribute__((always_inline)) {
@@ -81,7 +82,7 @@ struct CoupledLinks {
 
  private:
   // C^T x: torques at the shafts from those at the joints.
-  static ARM_INLINE void shafts(const X* of_joints, X* of_shafts) {
+  static ARM_INLINE void map_to_shafts(const X* of_joints, X* of_shafts) {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       of_shafts[j] = X{};
       for_each<L>([&](auto i) __attribute__((always_inline)) {
@@ -98,11 +99,11 @@ struct CoupledLinks {
       for_each<L>([&](auto i) __attribute__((always_inline)) {
         column[i] = X{};
         for_each<L>([&](auto k) __attribute__((always_inline)) {
-          if (S::coupling[k][j] != 0.0 && kTree<S>.related(i, k))
+          if (S::coupling[k][j] != 0.0 && kTree<S>.is_related(i, k))
             column[i] = column[i] + S::coupling[k][j] * of_joints.entry(i, k);
         });
       });
-      shafts(column, seen);
+      map_to_shafts(column, seen);
       for_each<N>([&](auto i) __attribute__((always_inline)) {
         if (i <= j) M.at[i][j] = seen[i];
       });
@@ -116,17 +117,17 @@ using Links = std::conditional_t<kCoupled<S>, CoupledLinks<S, X>, LinkTree<S, X>
 
 // Torques M a + nle of the links, not inlined, for rare calls.
 template <class S, class X>
-ARM_APART void inverse_dynamics_apart(const Numbers<S, X>& n, const X* q, const X* v, const X* a,
-                                      X* torque) {
+ARM_APART void compute_inverse_dynamics_apart(const Numbers<S, X>& n, const X* q, const X* v,
+                                              const X* a, X* torque) {
   typename Links<S, X>::Kinematics kinematics;
-  Links<S, X>::kinematics(n, q, kinematics);
-  Links<S, X>::inverse_dynamics(n, kinematics, v, a, torque);
+  Links<S, X>::compute_kinematics(n, q, kinematics);
+  Links<S, X>::compute_inverse_dynamics(n, kinematics, v, a, torque);
 }
 
 // Torques of the links, and of the rotors that turn with them, for the accelerations `a`.
 template <class S, class X>
-void torques_for(const Numbers<S, X>& n, const X* q, const X* v, const X* a, X* torque) {
-  inverse_dynamics_apart<S>(n, q, v, a, torque);
+void compute_link_torques(const Numbers<S, X>& n, const X* q, const X* v, const X* a, X* torque) {
+  compute_inverse_dynamics_apart<S>(n, q, v, a, torque);
   for (int j = 0; j < S::N; ++j) torque[j] += n.carried(j) * a[j];
 }
 

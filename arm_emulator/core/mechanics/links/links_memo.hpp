@@ -12,17 +12,17 @@ class LinksMemo {
   using Dynamics = typename Links<S, X>::Dynamics;
 
   // The result of the same instructions, whether it is cached or not.
-  ARM_INLINE const Dynamics& at(const Numbers<S, X>& n, const State<S, X>& x) {
+  ARM_INLINE const Dynamics& find_at(const Numbers<S, X>& n, const State<S, X>& x) {
     if (is_valid_ && is_at(x)) return links_;
-    return find(n, x);
+    return compute(n, x);
   }
   // The newest ones, to be changed.
-  Dynamics& used_up() {
+  Dynamics& release_links() {
     is_valid_ = false;
     return links_;
   }
   // The numbers have changed, or may have.
-  void forget() { is_valid_ = false; }
+  void invalidate() { is_valid_ = false; }
 
  private:
   using Row = arm::Row<S::N, X>;
@@ -35,9 +35,9 @@ class LinksMemo {
       same &= (q.at[g] == q_here.at[g]) & (v.at[g] == v_here.at[g]);
     return all(same);
   }
-  ARM_APART const Dynamics& find(const Numbers<S, X>& n, const State<S, X>& x) {
+  ARM_APART const Dynamics& compute(const Numbers<S, X>& n, const State<S, X>& x) {
     Row::load(x.q).store(q_), Row::load(x.v).store(v_);
-    Links<S, X>::dynamics_apart(n, x.q, x.v, links_);
+    Links<S, X>::compute_dynamics_apart(n, x.q, x.v, links_);
     is_valid_ = true;
     return links_;
   }

@@ -12,8 +12,8 @@ struct Placement {
   Real cos_alpha, sin_alpha;  // of the fixed turn about x
   Vec3<X> p;                  // origin, in the parent's frame
 
-  ARM_INLINE static constexpr Placement of(const Link& link, const X& sin, const X& cos,
-                                           const Vec3<X>& p) {
+  ARM_INLINE static constexpr Placement make(const Link& link, const X& sin, const X& cos,
+                                             const Vec3<X>& p) {
     return {sin, cos, link.cos_alpha, link.sin_alpha, p};
   }
   // The link's z in its parent's frame.
@@ -62,9 +62,9 @@ struct TurnedPlacement {
   Real cos_gamma, sin_gamma;
   Vec3<X> p;  // origin, in the parent's frame
 
-  ARM_INLINE static constexpr TurnedPlacement of(const Link& link, const X& sin, const X& cos,
-                                                 const Vec3<X>& p) {
-    return {Placement<X>::of(link, sin, cos, {}), link.cos_gamma, link.sin_gamma, p};
+  ARM_INLINE static constexpr TurnedPlacement make(const Link& link, const X& sin, const X& cos,
+                                                   const Vec3<X>& p) {
+    return {Placement<X>::make(link, sin, cos, {}), link.cos_gamma, link.sin_gamma, p};
   }
   ARM_INLINE static constexpr Vec3<Real> axis(const Link& link) {
     return {link.sin_gamma * link.sin_alpha, -link.cos_gamma * link.sin_alpha, link.cos_alpha};
@@ -100,8 +100,8 @@ struct FreePlacement {
   Vec3<X> p;     // origin, in the parent's frame
 
   template <class N>
-  ARM_INLINE static constexpr FreePlacement of(const LinkPlace<N>& link, const X& sin, const X& cos,
-                                               const Vec3<X>& p) {
+  ARM_INLINE static constexpr FreePlacement make(const LinkPlace<N>& link, const X& sin,
+                                                 const X& cos, const Vec3<X>& p) {
     const auto& [x, y, z] = link.axes;
     return {{cos * x + sin * y, cos * y - sin * x, Vec3<X>{} + z}, p};
   }
@@ -129,15 +129,15 @@ using PlacementIn =
                        std::conditional_t<kTree<S>.forks, TurnedPlacement<X>, Placement<X>>>;
 
 template <class X, class B>
-ARM_INLINE constexpr Body<X> over(const Body<B>& body) {
+ARM_INLINE constexpr Body<X> convert_body(const Body<B>& body) {
   return {X{} + body.m, Vec3<X>{} + body.h, Sym3<X>{} + body.I};
 }
 
 // A body with its child's fixed to it: the parallel-axis theorem with first moments, h and I about
 // the parent's origin.
 template <class P, class Where, class X>
-ARM_INLINE constexpr Body<X> joined(const Body<P>& parent, const Where& link,
-                                    const Body<X>& child) {
+ARM_INLINE constexpr Body<X> join_bodies(const Body<P>& parent, const Where& link,
+                                         const Body<X>& child) {
   const Vec3<X> h = link.to_parent(child.h);
   const Vec3<X> p = link.p;
   const Vec3<X> mp = child.m * p, all = h + mp, by = h + all;

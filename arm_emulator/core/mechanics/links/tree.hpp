@@ -26,11 +26,11 @@ struct Tree {
   }
 
   // Whether link i carries link j, or j carries i.
-  constexpr bool related(int i, int j) const { return i < j ? j < end[i] : i < end[j]; }
+  constexpr bool is_related(int i, int j) const { return i < j ? j < end[i] : i < end[j]; }
   constexpr bool is_leaf(int i) const { return end[i] == i + 1; }
   constexpr bool is_last_child(int i) const { return end[i] == end[parent[i]]; }
   // Whether loops over pairs are unrolled: a tree has fewer of them than a chain.
-  constexpr bool unrolled() const {
+  constexpr bool is_unrolled() const {
     constexpr int limit = kUnrollNested * (kUnrollNested + 1) / 2;
     return L <= kUnrollNested || (forks && L <= kUnrollLimit && pairs <= limit);
   }
@@ -46,14 +46,14 @@ struct MassPattern {
   static constexpr int N = S::N;
   static constexpr bool dense = !kTree<S>.forks;
   static constexpr bool from_the_tip =
-      N <= kUnrollNested || (kTree<S>.forks && kTree<S>.unrolled() && N <= kUnrollLimit);
+      N <= kUnrollNested || (kTree<S>.forks && kTree<S>.is_unrolled() && N <= kUnrollLimit);
 
   struct Table {
     bool at[N][N] = {};
     constexpr Table() {
       for (int i = 0; i < S::L; ++i)
         for (int k = 0; k < S::L; ++k)
-          if (kTree<S>.related(i, k)) set(i, k);
+          if (kTree<S>.is_related(i, k)) set(i, k);
       for (int k = N - 1; k >= 0; --k)
         for (int i = 0; i < k; ++i)
           for (int j = 0; j < k; ++j) at[i][j] |= at[i][k] && at[j][k];
@@ -72,7 +72,7 @@ struct MassPattern {
   };
   static constexpr Table table = {};
 
-  static constexpr bool couples(int i, int k) { return dense || table.at[i][k]; }
+  static constexpr bool is_coupled(int i, int k) { return dense || table.at[i][k]; }
 };
 
 template <class S, class X = Real>

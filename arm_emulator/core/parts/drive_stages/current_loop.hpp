@@ -79,11 +79,11 @@ struct CurrentLoop : Motor {
     f[1] = active ? control.I / control.P * (V - z[1] - E() * wm) : control.I * (u - z[0]);
   }
   // The integral is set to hold a current that is set by hand.
-  constexpr void put_current(Real* z, Real current) const {
+  constexpr void set_current(Real* z, Real current) const {
     z[0] = current, z[1] = this->R_circuit() * current;
   }
-  static constexpr bool never_follows = true;
-  constexpr void follow(Real*, Real, Real) const {}
+  static constexpr bool never_algebraic = true;
+  constexpr void set_algebraic_state(Real*, Real, Real) const {}
 
   template <class X>
   ARM_INLINE constexpr Mask<X> is_regular(const X* z, X u, X wm) const {
@@ -103,7 +103,7 @@ struct CurrentLoop : Motor {
     if (!mode.active) return nominal.supply - magnitude(V) + rounding;
     return (mode.offset < 0.0 ? -V : V) - nominal.supply + rounding;
   }
-  constexpr void settle(Real*, const Mode&) const {}
+  constexpr void enforce_modes(Real*, const Mode&) const {}
 
   template <class X>
   ARM_INLINE constexpr X supplied(const X* z, X u, X, X wm, bool active) const {

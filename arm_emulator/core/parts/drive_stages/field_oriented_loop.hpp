@@ -75,13 +75,13 @@ struct FieldOrientedLoop : Motor {
     f[4] = control.I * (u - z[1]) + control.I / Pq * (V.q - requested.q);
   }
   // The integral is set to hold a current that is set by hand.
-  constexpr void put_current(Real* z, Real current) const {
+  constexpr void set_current(Real* z, Real current) const {
     z[1] = current, z[4] = this->R_circuit() * current;
   }
 
   // ud has priority in the circle of the current limit, too.
   constexpr Real largest_current() const { return this->current_limit; }
-  constexpr void put_further(int, Real* z, Real ud, Real) const {
+  constexpr void set_further_input(int, Real* z, Real ud, Real) const {
     z[2] = clamp(ud, limit_or_none(this->current_limit));
   }
   template <class X>

@@ -28,8 +28,8 @@ struct OpenedMotor : Motor {
     Motor::rates(z, u, tm, wm, offset, active, f);
     for (int k = 0; k < Motor::regulated; ++k) f[k] -= kOpen * open * z[k];
   }
-  constexpr void follow(Real* z, Real u, Real wm) const {
-    Motor::follow(z, u / (1.0 + kOpen * open), wm);
+  constexpr void set_algebraic_state(Real* z, Real u, Real wm) const {
+    Motor::set_algebraic_state(z, u / (1.0 + kOpen * open), wm);
   }
 
  private:

@@ -94,7 +94,9 @@ struct HeatedMotor : Motor {
   constexpr Real supplied(const Real* z, Real u, Real tm, Real wm, bool active) const {
     return now(z).supplied(z, u, tm, wm, active);
   }
-  constexpr void follow(Real* z, Real u, Real wm) const { now(z).follow(z, u, wm); }
+  constexpr void set_algebraic_state(Real* z, Real u, Real wm) const {
+    now(z).set_algebraic_state(z, u, wm);
+  }
   constexpr auto mode_at(const Real* z, Real u, Real wm) const { return now(z).mode_at(z, u, wm); }
   constexpr auto required(const Real* z, Real u, Real wm, const auto& mode) const {
     return now(z).required(z, u, wm, mode);
@@ -104,7 +106,7 @@ struct HeatedMotor : Motor {
   }
 
   constexpr Real temperature(const Real* z) const { return winding.ambient + z[rise]; }
-  constexpr bool too_hot(const Real* z) const { return temperature(z) > winding.limit; }
+  constexpr bool is_overheated(const Real* z) const { return temperature(z) > winding.limit; }
 
  private:
   // Factors of resistance and constants, relative to the reference.

@@ -11,8 +11,8 @@ namespace arm {
 
 // Factors of viscous and of dry torques by the temperature (gear_temperature.hpp).
 template <class X>
-struct Warmth {
-  constexpr bool operator==(const Warmth&) const = default;
+struct FrictionFactors {
+  constexpr bool operator==(const FrictionFactors&) const = default;
 
   X viscous = X{} + 1.0, dry = X{} + 1.0;
 };
@@ -21,17 +21,17 @@ struct Warmth {
 // direction in which the shaft moves, or would move: positive where the motor drives.
 template <class X>
 struct ShaftTorques {
-  X of_gear;   // on the link, seen at this shaft
-  X of_motor;  // what drives the shaft; at a link that of the gear
-  X lead;      // above 0: the motor's torque is the greater one; at a link its sign alone
-  Warmth<X> warmth = {};
+  X of_gear;          // on the link, seen at this shaft
+  X of_motor;         // what drives the shaft; at a link that of the gear
+  X power_direction;  // above 0: the motor's torque is the greater one; at a link its sign alone
+  FrictionFactors<X> factors = {};
 };
 
 // Viscous torque of a law against the speed w.
 template <class Law, class X>
-ARM_INLINE constexpr X viscous_torque(const Law& law, X w, const Warmth<X>& warmth) {
-  if constexpr (requires { Law::warms; })
-    return law.Dv * warmth.viscous * w;
+ARM_INLINE constexpr X viscous_torque(const Law& law, X w, const FrictionFactors<X>& factors) {
+  if constexpr (requires { Law::depends_on_temperature; })
+    return law.Dv * factors.viscous * w;
   else
     return law.Dv * w;
 }

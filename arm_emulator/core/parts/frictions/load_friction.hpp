@@ -56,44 +56,44 @@ struct DirectedLoadFriction {
 
   constexpr bool is_dry() const {
     return Ds > 0.0 || mu > 0.0 || mu_back > 0.0 || m > 0.0 || nu > 0.0 || nu_back > 0.0 ||
-           n > 0.0 || jumps();
+           n > 0.0 || has_jump();
   }
   // Whether the torque jumps where those of motor and gear become equal.
-  constexpr bool jumps() const { return q > 0.0 || q_back > 0.0; }
+  constexpr bool has_jump() const { return q > 0.0 || q_back > 0.0; }
   template <class X>
   ARM_INLINE constexpr X sliding(X w, const ShaftTorques<X>& on) const {
-    return Dc + under(on, mu, mu_back, m) + remaining(w) * fading(on);
+    return Dc + load_torque(on, mu, mu_back, m) + fade_factor(w) * breakaway_terms(on);
   }
   template <class X>
   ARM_INLINE constexpr X holding(const ShaftTorques<X>& on) const {
-    return Dc + under(on, mu, mu_back, m) + fading(on);
+    return Dc + load_torque(on, mu, mu_back, m) + breakaway_terms(on);
   }
 
  private:
   template <class X>
-  ARM_INLINE static constexpr X under(const ShaftTorques<X>& on, Real drives, Real driven,
-                                      Real of_motor) {
+  ARM_INLINE static constexpr X load_torque(const ShaftTorques<X>& on, Real drives, Real driven,
+                                            Real of_motor) {
     return magnitude(of_motor * on.of_motor +
                      select(on.of_gear > 0.0, X{} + drives, X{} + driven) * on.of_gear);
   }
   template <class X>
-  ARM_INLINE constexpr X fading(const ShaftTorques<X>& on) const {
-    const X squared =
-        select(on.lead > 0.0, q * on.of_gear * on.of_gear, q_back * on.of_motor * on.of_motor);
-    return Ds - Dc + under(on, nu, nu_back, n) +
+  ARM_INLINE constexpr X breakaway_terms(const ShaftTorques<X>& on) const {
+    const X squared = select(on.power_direction > 0.0, q * on.of_gear * on.of_gear,
+                             q_back * on.of_motor * on.of_motor);
+    return Ds - Dc + load_torque(on, nu, nu_back, n) +
            select(on.of_motor * on.of_gear > 0.0, squared, X{});
   }
   // The share of the fading terms that remains at the speed w.
   template <class X>
-  ARM_INLINE constexpr X remaining(X w) const {
+  ARM_INLINE constexpr X fade_factor(X w) const {
     if (!(vs > 0.0)) return X{};
     X share{};
     for (int lane = 0; lane < kWidth<X>; ++lane)
-      set_lane(share, lane, remaining_at(magnitude(lane_of(w, lane)) / vs));
+      set_lane(share, lane, fade_factor_at(magnitude(lane_of(w, lane)) / vs));
     return share;
   }
   // Nothing where it is below rounding: e^-37 and less, for which most speeds need no functions.
-  ARM_INLINE constexpr Real remaining_at(const Real& ratio) const {
+  ARM_INLINE constexpr Real fade_factor_at(const Real& ratio) const {
     if constexpr (square) {
       return ratio > 6.1 ? Real{0.0} : exponential(-ratio * ratio);
     } else {

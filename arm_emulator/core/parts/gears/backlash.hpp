@@ -29,7 +29,7 @@ struct BacklashGear {
 
   template <class X>
   ARM_INLINE constexpr X torque(X tm, X wm, X q, X v, X offset, bool active) const {
-    return active ? tooth().push(Ng * tm - q - offset, Ng * wm - v) : X{};
+    return active ? tooth().push_torque(Ng * tm - q - offset, Ng * wm - v) : X{};
   }
   template <class X>
   ARM_INLINE constexpr X stored(X tm, X q) const {
@@ -44,7 +44,7 @@ struct BacklashGear {
   constexpr Mode mode_at(Real tm, Real wm, Real q, Real v) const {
     if (is_tight()) return {true, 0.0};
     const Real w = Ng * tm - q, rate = Ng * wm - v, sign = w < 0.0 ? -1.0 : 1.0;
-    if (tooth().pushes(sign * w - gap(), sign * rate)) return {true, sign * gap()};
+    if (tooth().is_pushing(sign * w - gap(), sign * rate)) return {true, sign * gap()};
     return {};
   }
   constexpr Real margin(Real tm, Real wm, Real q, Real v, const Mode& mode) const {

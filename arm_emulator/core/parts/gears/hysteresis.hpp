@@ -27,29 +27,29 @@ struct Hysteresis {
 
   // Stiffness while none slips, and of each [N m/rad].
   constexpr Real stiffness() const { return 2.0 * F / twist; }
-  constexpr Real stiffness_of_each() const { return stiffness() / n; }
+  constexpr Real element_stiffness() const { return stiffness() / n; }
   // Twist at which element i of 0 to n - 1 slips [rad].
   constexpr Real limit(int i) const { return (2 * i + 1) * (twist / (2 * n)); }
 
   template <class X>
-  ARM_INLINE constexpr X bend(int i, X w, const X* anchors) const {
+  ARM_INLINE constexpr X deflection(int i, X w, const X* anchors) const {
     const X bent = w - anchors[i], most = X{} + limit(i);
     return select(bent > most, most, select(bent < -most, -most, bent));
   }
   template <class X>
   ARM_INLINE constexpr X torque(X w, const X* anchors) const {
     X sum{};
-    for (int i = 0; i < n; ++i) sum += bend(i, w, anchors);
-    return stiffness_of_each() * sum;
+    for (int i = 0; i < n; ++i) sum += deflection(i, w, anchors);
+    return element_stiffness() * sum;
   }
   template <class X>
   ARM_INLINE constexpr X stored(X w, const X* anchors) const {
     X sum{};
     for (int i = 0; i < n; ++i) {
-      const X bent = bend(i, w, anchors);
+      const X bent = deflection(i, w, anchors);
       sum += bent * bent;
     }
-    return 0.5 * stiffness_of_each() * sum;
+    return 0.5 * element_stiffness() * sum;
   }
   constexpr Real dissipated(Real w, Real rate, const Real* anchors) const {
     Real sum = 0.0;
@@ -57,10 +57,10 @@ struct Hysteresis {
       const Real bent = w - anchors[i];
       if (magnitude(bent) >= limit(i) && bent * rate > 0.0) sum += limit(i) * magnitude(rate);
     }
-    return stiffness_of_each() * sum;
+    return element_stiffness() * sum;
   }
-  constexpr void follow(Real w, Real* anchors) const {
-    for (int i = 0; i < n; ++i) anchors[i] = w - bend(i, w, anchors);
+  constexpr void update_anchors(Real w, Real* anchors) const {
+    for (int i = 0; i < n; ++i) anchors[i] = w - deflection(i, w, anchors);
   }
 };
 
@@ -91,7 +91,7 @@ struct HystereticGear : Gear {
                                 const X* anchors) const {
     const X T = Gear::torque(tm, wm, q, v, offset, active), w = twist(tm, q);
     if constexpr (slips)
-      return T + on_link(q, hysteresis.torque(w, anchors));
+      return T + torque_on_link(q, hysteresis.torque(w, anchors));
     else
       return T + hysteresis.stiffness() * w;
   }
@@ -104,8 +104,8 @@ struct HystereticGear : Gear {
     return Gear::dissipated(tm, wm, q, v, active) +
            hysteresis.dissipated(twist(tm, q), twist_rate(tm, wm, q, v), anchors);
   }
-  constexpr void follow(Real tm, Real q, Real* anchors) const {
-    hysteresis.follow(twist(tm, q), anchors);
+  constexpr void update_memory(Real tm, Real q, Real* anchors) const {
+    hysteresis.update_anchors(twist(tm, q), anchors);
   }
 
  private:
@@ -126,9 +126,9 @@ struct HystereticGear : Gear {
   }
   // Torque on the link from the torque F along the twist.
   template <class X>
-  ARM_INLINE constexpr X on_link(X q, X F) const {
-    if constexpr (requires(const Gear& gear) { gear.on_link(q, F); })
-      return Gear::on_link(q, F);
+  ARM_INLINE constexpr X torque_on_link(X q, X F) const {
+    if constexpr (requires(const Gear& gear) { gear.torque_on_link(q, F); })
+      return Gear::torque_on_link(q, F);
     else
       return F;
   }

@@ -49,12 +49,12 @@ struct KinematicErrorGear {
     return (Ng + error(motor, tm).slope) * wm - (1.0 - error(link, q).slope) * v;
   }
   template <class X>
-  ARM_INLINE constexpr X on_link(X q, X F) const {
+  ARM_INLINE constexpr X torque_on_link(X q, X F) const {
     return F * (1.0 - error(link, q).slope);
   }
   // Torque on the rotor from the torque T on the link.
   template <class X>
-  ARM_INLINE constexpr X on_rotor(X tm, X q, X T) const {
+  ARM_INLINE constexpr X torque_on_rotor(X tm, X q, X T) const {
     return T * (Ng + error(motor, tm).slope) / (1.0 - error(link, q).slope);
   }
   template <class X>

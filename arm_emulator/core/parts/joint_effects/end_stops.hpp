@@ -23,7 +23,7 @@ struct EndStops {
 
   template <class X>
   ARM_INLINE constexpr X torque(X q, X v, const X*, X offset, bool active) const {
-    return active ? -stop().push(q - offset, v) : X{};
+    return active ? -stop().push_torque(q - offset, v) : X{};
   }
   template <class X>
   ARM_INLINE constexpr X stored(X q, const X*) const {
@@ -40,8 +40,8 @@ struct EndStops {
     return (q <= upper) & (q >= lower);
   }
   constexpr Mode mode_at(Real q, Real v, const Real*) const {
-    if (stop().pushes(q - upper, v)) return {true, upper};
-    if (stop().pushes(lower - q, -v)) return {true, lower};
+    if (stop().is_pushing(q - upper, v)) return {true, upper};
+    if (stop().is_pushing(lower - q, -v)) return {true, lower};
     return {};
   }
   constexpr Real margin(Real q, Real v, const Real*, const Mode& mode) const {

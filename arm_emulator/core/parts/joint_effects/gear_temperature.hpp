@@ -52,15 +52,15 @@ struct GearTemperature : NoTorque<Place::link> {
   }
   // Rate by the power of friction, and that from a winding at this temperature [K/s].
   template <class X>
-  ARM_INLINE constexpr X heating(X power) const {
+  ARM_INLINE constexpr X temperature_rate(X power) const {
     return power / C;
   }
   template <class X>
-  ARM_INLINE constexpr X power_from(X winding, X rise) const {
+  ARM_INLINE constexpr X power_from_winding(X winding, X rise) const {
     return Rw > 0.0 ? (winding - (ambient + rise)) / Rw : X{};
   }
   template <class X>
-  ARM_INLINE constexpr Warmth<X> warmth(X rise) const {
+  ARM_INLINE constexpr FrictionFactors<X> compute_factors(X rise) const {
     const X above = ambient - reference + rise, dry = 1.0 + c * above;
     return {Tv > 0.0 ? r + (1.0 - r) * exponential(-above / Tv) : X{} + 1.0,
             select(dry > 0.0, dry, X{})};
@@ -73,14 +73,14 @@ struct Warm : Law {
   // g++ 11 leaves the base out of a defaulted comparison.
   constexpr bool operator==(const Warm& other) const { return Law::operator==(other); }
 
-  static constexpr bool varies = true, warms = true;
+  static constexpr bool varies = true, depends_on_temperature = true;
   template <class X>
   ARM_INLINE constexpr X sliding(X w, const ShaftTorques<X>& on) const {
-    return Law::sliding(w, on) * on.warmth.dry;
+    return Law::sliding(w, on) * on.factors.dry;
   }
   template <class X>
   ARM_INLINE constexpr X holding(const ShaftTorques<X>& on) const {
-    return Law::holding(on) * on.warmth.dry;
+    return Law::holding(on) * on.factors.dry;
   }
 };
 

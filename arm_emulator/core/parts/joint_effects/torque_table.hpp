@@ -32,11 +32,11 @@ struct TorqueTable : NoTorque<Place::link> {
 
   template <class X>
   ARM_INLINE constexpr X torque(X q, X, const X*, X, bool) const {
-    return at(q).torque;
+    return evaluate(q).torque;
   }
   template <class X>
   ARM_INLINE constexpr X potential(X q) const {
-    return at(q).potential;
+    return evaluate(q).potential;
   }
 
  private:
@@ -46,7 +46,7 @@ struct TorqueTable : NoTorque<Place::link> {
   };
 
   template <class X>
-  ARM_INLINE constexpr Value<X> at(const X& q) const {
+  ARM_INLINE constexpr Value<X> evaluate(const X& q) const {
     const Real begin = pieces[0].q0, period = end - begin;
     X periods{};
     if constexpr (periodic)
@@ -56,7 +56,7 @@ struct TorqueTable : NoTorque<Place::link> {
     const X within = select(angle < begin, X{} + begin, select(angle > end, X{} + end, angle));
     X q0{}, T0{}, T1{}, T2{}, T3{}, U0{};
     for (int lane = 0; lane < kWidth<X>; ++lane) {
-      const Piece& piece = pieces[piece_of(lane_of(within, lane))];
+      const Piece& piece = pieces[find_piece(lane_of(within, lane))];
       set_lane(q0, lane, piece.q0), set_lane(U0, lane, piece.U0);
       set_lane(T0, lane, piece.T0), set_lane(T1, lane, piece.T1);
       set_lane(T2, lane, piece.T2), set_lane(T3, lane, piece.T3);
@@ -68,7 +68,7 @@ struct TorqueTable : NoTorque<Place::link> {
     return {torque, U0 - work + beyond};
   }
   // The last piece that begins at or before an angle, by bisection.
-  ARM_INLINE constexpr int piece_of(Real angle) const {
+  ARM_INLINE constexpr int find_piece(Real angle) const {
     int first = 0;
     for (int count = n; count > 1;) {
       const int half = count / 2;

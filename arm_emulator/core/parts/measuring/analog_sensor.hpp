@@ -17,7 +17,7 @@ struct AnalogSensor {
   double noise = 0.0;       // standard deviation
   double range = 0.0;       // 0: none
   double resolution = 0.0;  // 0: none
-  double held = 0.0;        // probability that a look gives the reading before
+  double held = 0.0;        // probability that a sample repeats the reading before
   double drift = 0.0;       // per s
   double offset = 0.0;      // with what has drifted
   int delay = 0;            // servo periods

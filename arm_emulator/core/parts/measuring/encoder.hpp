@@ -48,16 +48,16 @@ struct Encoder {
   double ripple = 0.0, ripple_phase = 0.0;
   double noise = 0.0;   // rad, standard deviation
   double missed = 0.0;  // probability of each edge to be missed, or of a word not to come
-  double held = 0.0;    // probability that a look gives the reading before
+  double held = 0.0;    // probability that a sample repeats the reading before
   double flips = 0.0;   // that a bit of a reading is wrong
 
-  // Counts after which a word begins anew; 0: never.
+  // Counts after which a word starts at 0 again; 0: never.
   constexpr std::int64_t wrap() const {
     return kind == EncoderKind::absolute ? std::int64_t{1} << bits : 0;
   }
 
   // Counts of the disc at the shaft's angle theta, at the sample of that number.
-  std::int64_t disc(double theta, const Noise& noises, std::int64_t number) const {
+  std::int64_t count_on_disc(double theta, const Noise& noises, std::int64_t number) const {
     double alpha = theta + offset;
     const double t = 6.283185307179586 * turns_per_rad * theta;
     if (eccentricity != 0.0) alpha += eccentricity * sincos(t + eccentricity_phase).sin;
@@ -84,36 +84,37 @@ struct EncoderMemory {
 
   // Start at the shaft's angle, with no missed counts; or, after the machine was moved by hand,
   // with those of before.
-  void begin(const Encoder& e, double theta, const Noise& noises, std::int64_t number, bool anew) {
-    if (anew) {
+  void restart(const Encoder& e, double theta, const Noise& noises, std::int64_t number,
+               bool resets) {
+    if (resets) {
       *this = {};
-      until_miss = misses_of(noises).exponential(0);
+      until_miss = miss_stream(noises).exponential(0);
     }
-    disc = e.disc(theta, noises, number);
-    read(e);
+    disc = e.count_on_disc(theta, noises, number);
+    update_reading(e);
   }
 
-  void look(const Encoder& e, double theta, const Noise& noises, std::int64_t number) {
-    const std::int64_t c = e.disc(theta, noises, number);
+  void measure(const Encoder& e, double theta, const Noise& noises, std::int64_t number) {
+    const std::int64_t c = e.count_on_disc(theta, noises, number);
     if (e.kind == EncoderKind::absolute) {
       disc = c;
-      if (e.missed > 0.0 && misses_of(noises).uniform(number) <= e.missed) return;
+      if (e.missed > 0.0 && miss_stream(noises).uniform(number) <= e.missed) return;
     } else {
-      turn(e, c, noises);
+      count_to(e, c, noises);
     }
     if (repeats_reading(e.held, noises, number)) return;
-    read(e);
+    update_reading(e);
     const Noise flips = {mixed(noises.key + 2)};
     if (e.flips > 0.0 && flips.uniform(2 * number) <= e.flips)
-      flip(e, flips.uniform(2 * number + 1));
+      flip_bit(e, flips.uniform(2 * number + 1));
   }
 
  private:
-  static constexpr int kMaxMisses = 1000;  // that are drawn one by one between two looks
+  static constexpr int kMaxMisses = 1000;  // that are drawn one by one between two samples
 
-  static constexpr Noise misses_of(const Noise& noises) { return {mixed(noises.key ^ kGolden)}; }
+  static constexpr Noise miss_stream(const Noise& noises) { return {mixed(noises.key ^ kGolden)}; }
 
-  void read(const Encoder& e) {
+  void update_reading(const Encoder& e) {
     const std::uint64_t word = (std::uint64_t{1} << e.bits) - 1;
     const bool absolute = e.kind == EncoderKind::absolute;
     now.counts =
@@ -121,29 +122,29 @@ struct EncoderMemory {
   }
 
   // Turn one bit of the reading over: of a word any, of a counter one of the last 16.
-  void flip(const Encoder& e, double draw) {
+  void flip_bit(const Encoder& e, double draw) {
     const int bits = e.kind == EncoderKind::absolute ? e.bits : 16;
     now.counts ^= std::int64_t{1} << static_cast<int>(bits * draw - 1e-9);
   }
 
   // Count the edges up to c. The newest index pulse on the way falls on a multiple of a turn.
-  void turn(const Encoder& e, std::int64_t c, const Noise& noises) {
+  void count_to(const Encoder& e, std::int64_t c, const Noise& noises) {
     const auto per_turn = static_cast<std::int64_t>(e.counts_per_turn);
-    const std::int64_t from = turn_of(disc, per_turn), to = turn_of(c, per_turn);
+    const std::int64_t from = floor_turns(disc, per_turn), to = floor_turns(c, per_turn);
     if (e.index != Index::none && from != to) {
       const std::int64_t pulse = (c > disc ? to : to + 1) * per_turn;
-      pass(e, pulse, noises);
+      count_edges(e, pulse, noises);
       now.index = disc - lost;
       now.pulses += from < to ? to - from : from - to;
-      if (e.index == Index::correct) lost = per_turn * turn_of(lost + per_turn / 2, per_turn);
+      if (e.index == Index::correct) lost = per_turn * floor_turns(lost + per_turn / 2, per_turn);
     }
-    pass(e, c, noises);
+    count_edges(e, c, noises);
   }
 
   // Each edge uses `rate` of a budget; an edge is missed when it is used up. Budgets are
   // exponentially distributed, so edges are missed independently with probability 1 - exp(-rate) =
   // e.missed, also when that changes.
-  void pass(const Encoder& e, std::int64_t to, const Noise& noises) {
+  void count_edges(const Encoder& e, std::int64_t to, const Noise& noises) {
     const std::int64_t direction = to > disc ? 1 : -1;
     double edges = static_cast<double>(direction * (to - disc));
     disc = to;
@@ -158,13 +159,13 @@ struct EncoderMemory {
       }
       edges -= next;
       lost += direction;
-      until_miss = misses_of(noises).exponential(++misses);
+      until_miss = miss_stream(noises).exponential(++misses);
     }
     lost +=
         direction * static_cast<std::int64_t>(edges * e.missed);  // of so many, as many as expected
   }
 
-  static constexpr std::int64_t turn_of(std::int64_t counts, std::int64_t per_turn) {
+  static constexpr std::int64_t floor_turns(std::int64_t counts, std::int64_t per_turn) {
     const std::int64_t turn = counts / per_turn;
     return turn * per_turn > counts ? turn - 1 : turn;
   }

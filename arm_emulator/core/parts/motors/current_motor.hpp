@@ -47,8 +47,8 @@ struct CurrentMotor {
   ARM_INLINE constexpr X current(const X* i) const {
     return i[0];
   }
-  constexpr void put_current(Real* i, Real current) const { i[0] = current; }
-  constexpr void follow(Real* i, Real u, Real) const {
+  constexpr void set_current(Real* i, Real current) const { i[0] = current; }
+  constexpr void set_algebraic_state(Real* i, Real u, Real) const {
     if (bandwidth == 0.0) i[0] = u;
   }
 

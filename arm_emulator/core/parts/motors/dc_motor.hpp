@@ -49,11 +49,11 @@ struct DcMotorOf {
   ARM_INLINE constexpr X current(const X* i) const {
     return i[0];
   }
-  constexpr void put_current(Real* i, Real current) const { i[0] = current; }
+  constexpr void set_current(Real* i, Real current) const { i[0] = current; }
   constexpr Real R_circuit() const { return R + R_contact; }
 
   // Set the current if it is algebraic.
-  constexpr void follow(Real* i, Real V, Real wm) const {
+  constexpr void set_algebraic_state(Real* i, Real V, Real wm) const {
     if (L == 0.0) i[0] = (V - Kb * wm) / R_circuit();
     if constexpr (limited) i[0] = clamp(i[0], current_limit);
   }
@@ -82,7 +82,7 @@ struct DcMotorOf {
     const Real left = surplus(mode.offset, V, wm);
     return (mode.offset < 0.0 ? -left : left) + rounding;
   }
-  constexpr void settle(Real* i, const Mode& mode) const {
+  constexpr void enforce_modes(Real* i, const Mode& mode) const {
     i[0] = mode.active ? mode.offset : clamp(i[0], current_limit);
   }
 

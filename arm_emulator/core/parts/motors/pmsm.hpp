@@ -61,15 +61,15 @@ struct PmsmOf {
   ARM_INLINE constexpr X current(const X* z) const {
     return z[1];
   }
-  constexpr void put_current(Real* z, Real current) const { z[1] = current; }
+  constexpr void set_current(Real* z, Real current) const { z[1] = current; }
   constexpr Real R_circuit() const { return R + R_contact; }
   constexpr Real current_d(const Real* z) const { return z[0]; }
   constexpr Real largest_current() const { return 0.0; }
-  static constexpr bool never_follows = true;
-  constexpr void follow(Real*, Real, Real) const {}
+  static constexpr bool never_algebraic = true;
+  constexpr void set_algebraic_state(Real*, Real, Real) const {}
 
   // A further input is a constant state: held between commands, and saved with the states.
-  constexpr void put_further(int, Real* z, Real ud, Real supply) const {
+  constexpr void set_further_input(int, Real* z, Real ud, Real supply) const {
     z[2] = clamp(ud, amplitude(supply));
   }
   constexpr Real applied_inputs(int, const Real* z) const { return z[2]; }

@@ -41,7 +41,7 @@ struct StepperMotorOf {
     return X{} + limit_or_none(current_limit);
   }
   constexpr Real largest_current() const { return current_limit; }
-  constexpr void put_further(int, Real* z, Real ub, Real) const {
+  constexpr void set_further_input(int, Real* z, Real ub, Real) const {
     z[2] = clamp(ub, limit_or_none(current_limit));
   }
   constexpr Real applied_inputs(int, const Real* z) const { return z[2]; }
@@ -63,8 +63,8 @@ struct StepperMotorOf {
   ARM_INLINE constexpr X current(const X* z) const {
     return z[0];
   }
-  constexpr void put_current(Real* z, Real current) const { z[0] = current; }
-  constexpr void follow(Real*, Real, Real) const {}
+  constexpr void set_current(Real* z, Real current) const { z[0] = current; }
+  constexpr void set_algebraic_state(Real*, Real, Real) const {}
 
   template <class X>
   ARM_INLINE constexpr X stored(const X*) const {

@@ -46,8 +46,8 @@ struct TorqueMotor {
   ARM_INLINE constexpr X current(const X*) const {
     return X{};
   }
-  constexpr void put_current(Real*, Real) const {}
-  constexpr void follow(Real* tau, Real u, Real) const {
+  constexpr void set_current(Real*, Real) const {}
+  constexpr void set_algebraic_state(Real* tau, Real u, Real) const {
     if (bandwidth == 0.0) tau[0] = u;
   }
 

@@ -1,4 +1,4 @@
-// The arms of a fleet: each in its machine, or in its lane beside others.
+// The arms of a fleet: each in its machine, or in its lane of a group.
 //
 // One struct, with a member for each function of arm_fleet.h, hence the length.
 #pragma once
@@ -27,8 +27,9 @@ struct arm_fleet {
   using Rows = arm::StateRows<Group, has_rows>;
 
   // Whether lanes have all data of measurements and commands; other data is read from the machine.
-  static constexpr bool has_signals_in_lanes =
-      lanes > 1 && !arm_machine::looks && !Machine::heats && Scene::inputs == 0;
+  static constexpr bool has_signals_in_lanes = lanes > 1 && !arm_machine::has_sampled_sensors &&
+                                               !Machine::has_winding_temperature &&
+                                               Scene::inputs == 0;
   // Whether some steps of lanes have events: then a device takes the others in a kernel of their
   // own.
   static constexpr bool has_events_in_lanes = has_signals_in_lanes && arm::kHasLaneEvents<Scene>;
@@ -85,7 +86,7 @@ struct arm_fleet {
       for (; rows > 0; --rows, command += stride, q += stride) {
         double given[lanes * N] = {}, at[lanes * N];
         for (int k = first; k < end; ++k) {
-          const auto command_of_arm = machine[k]->with_power(command + (k - first) * J);
+          const auto command_of_arm = machine[k]->apply_power(command + (k - first) * J);
           for (int j = 0; j < N; ++j) given[(k - first) * N + j] = command_of_arm.of[j];
         }
         follow_rows_with_sensors(g, given, 0, 1, steps, at);
@@ -113,7 +114,7 @@ struct arm_fleet {
   void follow_rows_with_sensors(int g, const double* command, std::int64_t stride,
                                 std::int64_t rows, std::int64_t steps, double* q,
                                 [[maybe_unused]] std::int64_t taken = 0) {
-    if constexpr (!arm_machine::looks) {
+    if constexpr (!arm_machine::has_sampled_sensors) {
       group[g]->follow_rows(command, stride, rows, steps, q, 1, taken);
     } else {
       const int first = g * lanes, end = end_of(g);
@@ -128,7 +129,7 @@ struct arm_fleet {
             if (machine[k]->machine.faulty_joint() < 0 && due < chunk) chunk = due;
           }
           group[g]->follow_rows(command, stride, 1, chunk, q);
-          for (int k = first; k < end; ++k) move_to_machine(k), machine[k]->look();
+          for (int k = first; k < end; ++k) move_to_machine(k), machine[k]->sample_sensors();
           left -= chunk;
         }
       }
@@ -141,7 +142,7 @@ struct arm_fleet {
     double given[lanes * N] = {};
     flush_commands(g);
     for (int k = first; k < end; ++k) {
-      take_commands(k, joint + k * J, further ? further + k * Scene::inputs * J : nullptr, tick);
+      apply_commands(k, joint + k * J, further ? further + k * Scene::inputs * J : nullptr, tick);
       for (int j = 0; j < N; ++j) given[(k - first) * N + j] = machine[k]->applied[j];
     }
     follow_rows_with_sensors(g, given, 0, 1, steps_per_period, nullptr);
@@ -168,7 +169,7 @@ struct arm_fleet {
       for (int k = g * lanes; k < end_of(g); ++k) {
         if (!lane_group.is_in_lane(k % lanes) || !machine[k]->powered || users[k]) return false;
         for (int b = 0; b < Scene::brakes; ++b)
-          if (machine[k]->machine.wants_brake(b) || machine[k]->machine.brake_closed(b))
+          if (machine[k]->machine.is_brake_requested(b) || machine[k]->machine.is_brake_closed(b))
             return false;
       }
       status[g].driven_since = lane_group.exits();
@@ -226,7 +227,7 @@ struct arm_fleet {
       };
       if (call_in_lane(k, from_lane)) continue;
       for (int j = 0; j < N; ++j) applied[j] = given[j * lanes + k % lanes];
-      machine[k]->machine.bound(applied);
+      machine[k]->machine.clamp_commands(applied);
     }
   }
   // The same with what a group that is in its lanes was commanded last, before a machine is read.
@@ -262,17 +263,17 @@ struct arm_fleet {
       for (int j = 0; j < J; ++j)
         given[arm::drive_of<Scene>(j) * lanes + k % lanes] = joint[k * J + j].value;
   }
-  void take_commands(int k, const arm_joint_command* joint, const double* further,
-                     std::int64_t tick) {
+  void apply_commands(int k, const arm_joint_command* joint, const double* further,
+                      std::int64_t tick) {
     bool stays_in_lane = has_signals_in_lanes && is_in_lane(k);  // its lane bounds what it takes
     for (int b = 0; b < Scene::brakes; ++b)
-      stays_in_lane &=
-          machine[k]->closes_brake(b, joint, nullptr) == machine[k]->machine.wants_brake(b);
+      stays_in_lane &= machine[k]->is_brake_commanded(b, joint, nullptr) ==
+                       machine[k]->machine.is_brake_requested(b);
     if (stays_in_lane) {
-      machine[k]->put_commands(joint, further, tick);
+      machine[k]->set_commands(joint, further, tick);
     } else {
       move_to_machine(k);
-      machine[k]->take_commands(joint, further, tick);
+      machine[k]->apply_commands(joint, further, tick);
     }
   }
 
@@ -435,11 +436,11 @@ struct arm_fleet {
         joint = {arm_machine::counts(drive, angle[at]), current[at], applied[at], 0, 0};
       }
       for (int b = 0; out.joint && !is_open && b < Scene::brakes; ++b)
-        out.joint[k * J + Scene::braked[b]].brake = machine[k]->machine.brake_closed(b);
+        out.joint[k * J + Scene::braked[b]].brake = machine[k]->machine.is_brake_closed(b);
       for (int j = 0; out.sensors && j < J; ++j) out.sensors[k * J + j] = {};
       for (int j = 0; out.current_d && j < J; ++j) out.current_d[k * J + j] = 0.0;
-      arm_machine::put_deflections(row_of(out.readings, k * Scene::readings * J),
-                                   [&](int drive) { return angle[drive * lanes + k - first]; });
+      arm_machine::write_deflections(row_of(out.readings, k * Scene::readings * J),
+                                     [&](int drive) { return angle[drive * lanes + k - first]; });
       if (out.powered) out.powered[k] = is_open || machine[k]->powered;
       if (out.tick &&
           steps != lane_group.steps_taken(k - first)) {  // mostly that of the arm before

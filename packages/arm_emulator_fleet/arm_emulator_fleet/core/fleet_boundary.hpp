@@ -73,10 +73,10 @@ int arm_fleet_get_parameter(const arm_fleet* fleet, const char* name, double* va
 int arm_fleet_set_parameter(arm_fleet* fleet, const std::uint8_t* mask, const char* name,
                             const double* values) {
   if (!fleet || !values) return ARM_REFUSED;
-  const int place = place_of(name);
+  const int place = find_parameter(name);
   const auto check = [&](const arm_machine* arm, int k) {
     if (place < 0) return arm->refuse(-1, "parameter", "be varied in this scene", 0.0);
-    if (within_bounds(place, values[k])) return int{ARM_OK};
+    if (is_within_bounds(place, values[k])) return int{ARM_OK};
     return arm->refuse(-1, "parameter", "be within its bounds", values[k]);
   };
   if (fleet->check_all(mask, check)) return ARM_REFUSED;
@@ -90,7 +90,7 @@ int arm_fleet_set_parameters(arm_fleet* fleet, const std::uint8_t* mask, const d
   if (!fleet || (count > 0 && !values)) return ARM_REFUSED;
   const auto check = [&](const arm_machine* arm, int k) {
     for (int p = 0; p < count; ++p)
-      if (const double value = values[k * count + p]; !within_bounds(p, value))
+      if (const double value = values[k * count + p]; !is_within_bounds(p, value))
         return arm->refuse(-1, "parameter", "be within its bounds", value);
     return int{ARM_OK};
   };
@@ -137,7 +137,8 @@ int arm_fleet_restore(arm_fleet* fleet, const std::uint8_t* mask, const void* sa
         return check_saved(arm, bytes + k * stride, each);
       }))
     return ARM_REFUSED;
-  fleet->change_arms(mask, [&](arm_machine* arm, int k) { take_saved(arm, bytes + k * stride); });
+  fleet->change_arms(mask,
+                     [&](arm_machine* arm, int k) { restore_saved(arm, bytes + k * stride); });
   return ARM_OK;
 }
 

@@ -11,7 +11,7 @@ int check_change(const arm_machine* arm, const arm_fleet_change& change) {
     case ARM_CHANGES_PARAMETER:
       if (change.place < 0 || change.place >= Scene::parameters)
         return arm->refuse(-1, "parameter", "be varied in this scene", 0.0);
-      if (!within_bounds(change.place, change.value))
+      if (!is_within_bounds(change.place, change.value))
         return arm->refuse(-1, "parameter", "be within its bounds", change.value);
       return ARM_OK;
     case ARM_CHANGES_WRENCH:

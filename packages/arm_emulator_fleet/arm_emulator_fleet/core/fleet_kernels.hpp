@@ -36,14 +36,14 @@ ARM_KERNEL(fleet_measure_memory) {
   call.bytes[2] = sizeof(arm_fleet::Group) + arm_fleet::lanes * sizeof(arm_machine);
   call.bytes[3] = sizeof(arm_fleet::Machine::Method);
   call.bytes[4] = arm_fleet::lanes;
-  call.bytes[5] = arm::max_modes<Scene>() > 0 || arm::kLocates<Scene>;
+  call.bytes[5] = arm::max_modes<Scene>() > 0 || arm::kLocatesEvents<Scene>;
   call.bytes[6] = arm_fleet::has_events_in_lanes;
 }
 
 ARM_KERNEL(fleet_begin) { new (call.fleet) arm_fleet(call.options, call.count); }
 ARM_KERNEL(fleet_build) {
   call.fleet->build(static_cast<int>(thread), call.options);
-  if (thread == 0) *call.saved_size = saved_size_of(*call.fleet->machine[0]);
+  if (thread == 0) *call.saved_size = count_saved_bytes(*call.fleet->machine[0]);
 }
 ARM_KERNEL(fleet_end) { call.fleet->~arm_fleet(); }
 
@@ -79,7 +79,7 @@ ARM_KERNEL(fleet_check_parameters) {
     for (int p = 0; p < count; ++p) {
       if (call.place >= 0 && p != call.place) continue;
       const double value = call.values[call.place < 0 ? k * count + p : k];
-      if (!within_bounds(p, value))
+      if (!is_within_bounds(p, value))
         return arm->refuse(-1, "parameter", "be within its bounds", value);
     }
     return int{ARM_OK};
@@ -125,7 +125,7 @@ ARM_KERNEL(fleet_check_saved) {
 ARM_KERNEL(fleet_restore) {
   if (*call.refused != FLEET_NONE_REFUSED) return;
   change_group_arms(call.fleet, thread, call.mask, [&](arm_machine* arm, int k) {
-    take_saved(arm, call.saved + k * call.stride);
+    restore_saved(arm, call.saved + k * call.stride);
   });
 }
 

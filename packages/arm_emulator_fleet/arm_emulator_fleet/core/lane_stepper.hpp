@@ -17,7 +17,7 @@ namespace arm {
 
 // Whether the lanes of a scene need this.
 template <class S>
-inline constexpr bool kHasLaneEvents = max_modes<S>() > 0 || S::brakes > 0 || kLocates<S>;
+inline constexpr bool kHasLaneEvents = max_modes<S>() > 0 || S::brakes > 0 || kLocatesEvents<S>;
 
 template <class S, class X, class Machine>
 class LaneStepper {
@@ -35,13 +35,13 @@ class LaneStepper {
     machine_[lane] = machine;
     is_used_[lane] = machine ? -1 : 0;
   }
-  void renew(int lane) {
-    forget_links();
-    method_.renew(lane);
+  void update_tables(int lane) {
+    invalidate_links();
+    method_.update_tables(lane);
   }
   // The torques on the links have changed.
-  void forget_links() {
-    memo_.forget();
+  void invalidate_links() {
+    memo_.invalidate();
     confirmed_ = false;
   }
   void reset(const State<S, X>& x) {
@@ -54,7 +54,7 @@ class LaneStepper {
     confirmed_ = false;
     method_.restore(memory);
   }
-  const Dynamics& links_at(const State<S, X>& x) { return memo_.at(n_, x); }
+  const Dynamics& links_at(const State<S, X>& x) { return memo_.find_at(n_, x); }
 
   template <class Exchange>
   ARM_INLINE void step(State<S, X>& x, const X (&u)[row], const Dynamics& links,
@@ -100,7 +100,7 @@ class LaneStepper {
                                   Exchange& exchange) {
     Mask<X> jumps = {};
     if constexpr (locates) jumps = set_algebraic_states(x, u);
-    Mask<X> smooth = n_.brakes_open() & is_regular(n_, x, u);
+    Mask<X> smooth = n_.are_brakes_open() & is_regular(n_, x, u);
     const Mask<X> smooth_at_start = smooth & ~jumps;
     const bool takes_step = any(smooth & is_used_);
     if (takes_step) {
@@ -115,7 +115,7 @@ class LaneStepper {
     return attempt.is_taken ? method_.memory_before() : method_.memory();
   }
 
-  static constexpr bool locates = kLocates<S>;
+  static constexpr bool locates = kLocatesEvents<S>;
   using Friction = Coulomb<S, X>;
 
   // A step of all lanes. Returns where it was smooth.
@@ -138,7 +138,7 @@ class LaneStepper {
     if (is_all_at_rest_)
       method_.step_at_rest(x, u, links);
     else
-      method_.step_using_up(memo_.used_up(), modes_, x, u);
+      method_.step_consuming_links(memo_.release_links(), modes_, x, u);
     Mask<X> smooth = X{} == X{};
     if constexpr (Friction::present) smooth = check_friction(modes_, x, u);
     set_algebraic_states(x, u);
@@ -148,24 +148,25 @@ class LaneStepper {
   void find_friction(const State<S, X>& x, const X (&u)[row], const Dynamics& links) {
     X rhs[N];
     compute_torques(x, u, links, rhs);
-    coulomb_.take(x, x, u, regular_modes);
+    coulomb_.set_friction(x, x, u, regular_modes);
     coulomb_.decide([&] { return compute_loaded_inertia(links); }, x.v, rhs);
     modes_ = coulomb_.modes();
-    is_all_at_rest_ = modes_.rest();
+    is_all_at_rest_ = modes_.are_all_locked();
   }
   Mask<X> check_friction(const typename Friction::Modes& modes, const State<S, X>& y,
                          const X (&u)[row]) {
     Mask<X> hold = X{} == X{};
     for (int j = 0; j < N; ++j) hold &= y.v[j] * modes.direction[j] >= 0.0;
-    if (modes.lock()) {
-      const Dynamics& links = memo_.at(n_, y);
+    if (modes.has_locked()) {
+      const Dynamics& links = memo_.find_at(n_, y);
       X rhs[N];
       compute_torques(y, u, links, rhs);
-      coulomb_.take(y, y, u, regular_modes);
-      coulomb_.hold_in(modes, [&] { return compute_loaded_inertia(links); }, rhs);
-      for (int j = 0; j < N; ++j) hold &= select(modes.locked[j], coulomb_.spare(j), X{}) >= 0.0;
+      coulomb_.set_friction(y, y, u, regular_modes);
+      coulomb_.find_lock_torques(modes, [&] { return compute_loaded_inertia(links); }, rhs);
+      for (int j = 0; j < N; ++j)
+        hold &= select(modes.locked[j], coulomb_.lock_margin(j), X{}) >= 0.0;
     }
-    confirmed_ = coulomb_.confirms(modes, y.v);
+    confirmed_ = coulomb_.is_confirmed(modes, y.v);
     return hold;
   }
 
@@ -201,12 +202,12 @@ class LaneStepper {
     Mask<X> has = {};
     for (int lane = 0; lane < width; ++lane)
       n_.for_each_drive_of(lane, [&](const auto& drive, int j) __attribute__((always_inline)) {
-        if (!drive.follows_at_once()) return;
+        if (!drive.has_algebraic_state()) return;
         has[lane] = -1;
         confirmed_ = false;
         auto at = input_in_lane(drive, j, x, u[j], lane);
-        drive.follow(at);
-        put_states(drive, j, lane, at, x);
+        drive.set_algebraic_state(at);
+        store_states(drive, j, lane, at, x);
       });
     return has;
   }

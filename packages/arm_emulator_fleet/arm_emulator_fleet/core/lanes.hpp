@@ -1,7 +1,8 @@
-// Machines of one scene that take their steps together, each in a lane of its own.
+// Machines of one scene that take their steps in one vector operation, each in a lane of its own.
 //
 // Results are those of single machines: a machine whose lane does not reach a sound state repeats
-// the steps alone, as without neighbours. One class: its members share the lanes, hence the length.
+// the steps by itself, as without neighbours. One class: its members share the lanes, hence the
+// length.
 #pragma once
 
 #include "lane_stepper.hpp"
@@ -29,9 +30,9 @@ class MachineLanes {
 
   // At least one machine and at most `width`; they stay where they are, as do the tables.
   MachineLanes(double step, Machine* const* machines, int count, const Common& common)
-      : h_(step), used_(count), numbers_(machines[0]->numbers_now()), state_(begin_state(common)) {
+      : h_(step), used_(count), numbers_(machines[0]->numbers()), state_(begin_state(common)) {
     for (int lane = 0; lane < used_; ++lane) machine_[lane] = machines[lane];
-    for (std::int64_t& edition : versions_) edition = -1;
+    for (std::int64_t& edition : numbers_versions_) edition = -1;
   }
   MachineLanes(const MachineLanes&) = delete;
 
@@ -51,16 +52,16 @@ class MachineLanes {
       int count = left < kSectionSteps ? static_cast<int>(left) : kSectionSteps;
       const bool stays = all_in_lanes_ && has_idle_brakes_;
       for (int lane = 0; lane < used_ && !stays; ++lane)
-        if (const std::int64_t due = steps_to_brakes(lane); due < count)
+        if (const std::int64_t due = count_steps_to_brakes(lane); due < count)
           count = static_cast<int>(due);
       advance_section(schedule, count);
       left -= count;
       if (stays) continue;
       bool changed = false;
       for (int lane = 0; lane < used_; ++lane)
-        if (steps_to_brakes(lane) <= 0) {
+        if (count_steps_to_brakes(lane) <= 0) {
           move_to_machine(lane);
-          machine_[lane]->follow_brakes();
+          machine_[lane]->apply_due_brakes();
           changed = true;
         }
       if (changed) update_numbers();
@@ -124,7 +125,7 @@ class MachineLanes {
   }
   double get_applied_commands(int lane, int j) const { return state().values.u[j][lane]; }
   void get_motor_signals(int lane, double* current, double* angle, double* speed) const {
-    machine_[lane]->numbers_now().for_each_drive([&](const auto& drive, int j) {
+    machine_[lane]->numbers().for_each_drive([&](const auto& drive, int j) {
       const auto here = input_in_lane(drive, j, state().values.x, X{}, lane);
       current[j] = drive.current(here);
       angle[j] = drive.motor_angle(here);
@@ -273,24 +274,24 @@ class MachineLanes {
     bool all_sound, is_sound[width];
   };
 
-  std::int64_t steps_to_brakes(int lane) const {
+  std::int64_t count_steps_to_brakes(int lane) const {
     if (S::brakes == 0) return Brakes<S>::never;
-    return in_lane_[lane] ? full_[lane].brakes.next() - state().values.steps_taken[lane]
-                          : machine_[lane]->steps_to_brakes();
+    return in_lane_[lane] ? full_[lane].brakes.next_change() - state().values.steps_taken[lane]
+                          : machine_[lane]->count_steps_to_brakes();
   }
 
   void update_numbers() {
     for (int lane = 0; lane < used_; ++lane) {
-      const std::int64_t edition = machine_[lane]->numbers_edition();
-      if (edition == versions_[lane]) continue;
-      versions_[lane] = edition;
-      numbers_.set(lane, machine_[lane]->numbers_now());
-      state().threads.renew(lane);
+      const std::int64_t edition = machine_[lane]->numbers_version();
+      if (edition == numbers_versions_[lane]) continue;
+      numbers_versions_[lane] = edition;
+      numbers_.set(lane, machine_[lane]->numbers());
+      state().threads.update_tables(lane);
     }
     if constexpr (S::external_wrench) {
       for (int lane = 0; lane < width; ++lane)
         numbers_.set_external_wrenches(lane, numbers_of(lane));
-      if constexpr (kHasLaneEvents<S>) state().threads.stepper().forget_links();
+      if constexpr (kHasLaneEvents<S>) state().threads.stepper().invalidate_links();
     }
   }
 
@@ -303,7 +304,7 @@ class MachineLanes {
     bool all = true;
     for (int lane = 0; lane < used_; ++lane) {
       if (!in_lane_[lane]) {
-        full_[lane] = machine_[lane]->full_state();
+        full_[lane] = machine_[lane]->make_full_state();
         in_lane_[lane] = full_[lane].fault < 0;
         if (in_lane_[lane]) write_lane(lane, full_[lane].now, state().values, past);
       }
@@ -323,7 +324,7 @@ class MachineLanes {
     all_in_lanes_ = all && used_ == width;
     has_idle_brakes_ = true;
     for (int lane = 0; lane < used_; ++lane)
-      has_idle_brakes_ = has_idle_brakes_ && full_[lane].brakes.next() == Brakes<S>::never;
+      has_idle_brakes_ = has_idle_brakes_ && full_[lane].brakes.next_change() == Brakes<S>::never;
     return true;
   }
 
@@ -358,7 +359,7 @@ class MachineLanes {
       is_smooth = taken == steps;
       left -= taken;
       for_each_drive<S>([&](const auto& drive, int j) {
-        diverged |= ~Machine::within_bounds(drive, j, state().values.x, h_);
+        diverged |= ~Machine::is_within_bounds(drive, j, state().values.x, h_);
       });
       bool checks = false;
       for (int lane = 0; lane < width; ++lane) {
@@ -378,7 +379,7 @@ class MachineLanes {
       if (!stops_at_event && diverged[lane]) {
         read_lane(lane, start_snapshot.values, start_snapshot.memory, full_[lane].now);
         restore_machine(lane);
-        auto lane_schedule = start.template of_lane<Machine::Stepper::row>(lane);
+        auto lane_schedule = start.template lane_schedule<Machine::Stepper::row>(lane);
         machine_[lane]->follow_schedule(lane_schedule, count);
       } else if (result.is_sound[lane]) {
         full_[lane].checked = lane_checkpoints_[lane];
@@ -397,8 +398,9 @@ class MachineLanes {
     Mask<X> sound = {};
     for (int lane = 0; lane < width; ++lane) {
       if (diverged[lane] || !Machine::is_check(state().values.steps_taken[lane])) continue;
-      if constexpr (S::external_wrench) account_for_work(lane);
-      if (state().values.balance[lane].due_after(Machine::kCheckEvery) && !has_valid_energy(lane))
+      if constexpr (S::external_wrench) count_external_work(lane);
+      if (state().values.balance[lane].is_due_after(Machine::kCheckEvery) &&
+          !has_valid_energy(lane))
         diverged[lane] = -1;
       else
         sound[lane] = -1;
@@ -444,23 +446,24 @@ class MachineLanes {
     }
   };
 
-  void account_for_work(int lane) {
+  void count_external_work(int lane) {
     Checkpoint now = {};
     read_lane(lane, state().values, now);
-    state().values.largest_energy[lane] += state().values.work[lane].since(numbers_of(lane), now.x);
+    state().values.largest_energy[lane] +=
+        state().values.work[lane].add_since(numbers_of(lane), now.x);
   }
 
   const Numbers<S>& numbers_of(int lane) const {
-    return machine_[lane < used_ ? lane : 0]->numbers_now();
+    return machine_[lane < used_ ? lane : 0]->numbers();
   }
 
   // Whether the energy of a lane is one that a machine can have.
   bool has_valid_energy(int lane) {
     Checkpoint now = {};
     read_lane(lane, state().values, now);
-    const int joint = now.balance.broken_by(numbers_of(lane), now.x, h_);
+    const int joint = now.balance.find_violation(numbers_of(lane), now.x, h_);
     state().values.balance[lane] = now.balance;
-    state().values.largest_energy[lane] = now.balance.most();
+    state().values.largest_energy[lane] = now.balance.energy_limit();
     return joint < 0;
   }
 
@@ -474,11 +477,11 @@ class MachineLanes {
                          typename Threads::Memory& past) {
     double numbers[sizeof now / sizeof(double)];
     double *to = numbers, *from = numbers;
-    for_each_number(now.x, now.past, [&](double number) { *to++ = number; });
+    for_each_number(now.x, now.memory, [&](double number) { *to++ = number; });
     for_each_number(values.x, past, [&](X& number) { number[lane] = *from++; });
     for (int j = 0; j < N; ++j) values.u[j][lane] = now.u[j];
     values.power[lane] = now.power;
-    values.largest_energy[lane] = now.balance.most();
+    values.largest_energy[lane] = now.balance.energy_limit();
     values.balance[lane] = now.balance;
     values.work[lane] = now.work;
     values.steps_taken[lane] = now.steps_taken;
@@ -494,11 +497,11 @@ class MachineLanes {
     // Only read here.
     for_each_number(const_cast<State<S, X>&>(values.x), const_cast<typename Threads::Memory&>(past),
                     [&](const X& number) { *to++ = number[lane]; });
-    for_each_number(now.x, now.past, [&](double& number) { number = *from++; });
+    for_each_number(now.x, now.memory, [&](double& number) { number = *from++; });
     for (int j = 0; j < N; ++j) now.u[j] = values.u[j][lane];
     now.power = values.power[lane];
     now.balance = values.balance[lane];
-    now.balance.allow(values.largest_energy[lane]);
+    now.balance.set_energy_limit(values.largest_energy[lane]);
     now.work = values.work[lane];
     now.steps_taken = values.steps_taken[lane];
   }
@@ -506,7 +509,7 @@ class MachineLanes {
   double h_;
   int used_;
   Machine* machine_[width];
-  std::int64_t versions_[width];  // of the numbers that are in use; none are at first
+  std::int64_t numbers_versions_[width];  // of the numbers that are in use; none are at first
   Numbers<S, X> numbers_;
   std::conditional_t<has_external_state, LaneState*, LaneState> state_;
   bool in_lane_[width] = {};      // whether the state is in the lane; else in the machine
