@@ -234,13 +234,13 @@ test-peers: setup .venv/.robots .venv/.peers test-slow
 test-gpu: setup
 	@$(RUN) && $(PYTEST) -n 0 -s $(wildcard packages/*/test/gpu) $(ARGS)
 
-NETWORK_TESTS := test/test_network.py test/test_lockstep.py
+NETWORK_TESTS := test/nodes/test_network.py test/nodes/test_lockstep.py
 
 test-under-load: setup .venv/.robots
 	@$(RUN) && python -m bench.under_load $(ARGS) -- pytest -q $(NETWORK_TESTS)
 
 fuzz: setup .venv/.robots .venv/.peers
-	@$(RUN) && PYTHONPATH=test:$$PYTHONPATH python -m fuzz $(ARGS)
+	@$(RUN) && PYTHONPATH=test:$$(echo test/*/ | tr ' ' :):$$PYTHONPATH python -m fuzz $(ARGS)
 
 bench: setup .venv/.robots .venv/.bench
 	@$(RUN) && python -m bench $(ARGS)

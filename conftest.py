@@ -13,12 +13,17 @@ import pytest
 IMPORTED = (
     "packages/arm_emulator_*",
     "test",
+    "test/*",
     "packages/test",
     "packages/*/test",
     "packages/*/test/peers",
 )
 for folders in IMPORTED:
-    sys.path[:0] = map(str, sorted(Path(__file__).parent.glob(folders)))
+    sys.path[:0] = [
+        str(folder)
+        for folder in sorted(Path(__file__).parent.glob(folders))
+        if not (folder / "__init__.py").exists()  # else a package, such as `fuzz`
+    ]
 
 # Before NumPy is loaded: matrices of tests are small, and threads that work on them together beside
 # other work mostly wait for each other, spinning.

@@ -73,7 +73,7 @@ def write_report(figures: dict[str, Any]) -> str:
     lines = [
         "`lag` is the exchange of the paper's Fig. 6, `predict` the one that leads "
         f"the sample on by its own speeds and accelerations, and at depth {DEPTH} by {DEPTH} steps "
-        "(core/schemes/two_threads.hpp); `test/test_threads.py` holds the paper's Table 1. "
+        "(core/schemes/two_threads.hpp); `test/schemes/test_threads.py` holds the paper's Table 1. "
         "Time per step, two threads over one, on chains of N joints with scheme `implicit` (which "
         "holds the long ones too). On a virtual machine the ratios depend on which physical cores "
         "the two virtual ones are just then.",

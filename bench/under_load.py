@@ -1,6 +1,6 @@
 """A command, many times, beside busy processes: does it hold?
 
-python -m bench.under_load [--busy 8] [--repeat 20] -- pytest test/test_network.py
+python -m bench.under_load [--busy 8] [--repeat 20] -- pytest test/nodes/test_network.py
 """
 
 from __future__ import annotations

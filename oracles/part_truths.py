@@ -12,7 +12,7 @@ has; none may follow from the part's declaration:
   counts, flags, bits and of what is in the unit of an input;
 - `draw_section(part, rng)`: its section in a random machine, where numbers depend on each other;
 - `EXCEEDED`, `measure(plant)`: a size that the quantity of a sensor exceeds in the motion of
-  test/test_readings.py, and its true values by joint;
+  test/sensors/test_readings.py, and its true values by joint;
 - `ON_BASE`: a C++ part of it that has another part as its base, and a number of that base;
 - tests against a closed form.
 """

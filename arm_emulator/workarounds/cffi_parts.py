@@ -2,7 +2,7 @@
 
 Versions: cffi 1.16 to 2.1. Reason: parsing a header takes 30 ms, and cffi keeps the result as a
 module of Python alone, which the cache of libraries can neither check nor replace as a whole.
-Test: test/test_workarounds.py, `test_cffi_offers_declarations_as_a_module_alone`.
+Test: test/toolchain/test_workarounds.py, `test_cffi_offers_declarations_as_a_module_alone`.
 """
 
 import ast

@@ -8,7 +8,8 @@ Fast DDS can also crash there. A process that is killed while it writes into a p
 shared memory leaves the port locked. The removal waits for that lock, the thread that receives does
 so, too, and after a second it unmaps the port, in which the removal still looks.
 
-Versions: Fast DDS 2.14. Test: test/test_workarounds.py, `test_fast_dds_is_that_of_the_workarounds`.
+Versions: Fast DDS 2.14. Test: test/toolchain/test_workarounds.py,
+`test_fast_dds_is_that_of_the_workarounds`.
 """
 
 import contextlib

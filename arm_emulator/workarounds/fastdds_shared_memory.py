@@ -9,8 +9,8 @@ reader was killed is marked as broken: the next reader makes a new one, and a pr
 old one open would write to it until its end. Fast DDS marks it only where the reader was killed
 while it waited for a message or was in the midst of one, not in the microseconds between.
 
-Versions: Fast DDS 2.14. Tests: test/test_workarounds.py,
-`test_fast_dds_is_that_of_the_workarounds`, and test/test_fastdds_shared_memory.py.
+Versions: Fast DDS 2.14. Tests: test/toolchain/test_workarounds.py,
+`test_fast_dds_is_that_of_the_workarounds`, and test/nodes/test_fastdds_shared_memory.py.
 """
 
 import contextlib

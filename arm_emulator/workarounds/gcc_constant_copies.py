@@ -3,7 +3,7 @@
 Versions: GCC 12.1 and 12.2. Reason: the copy of a constant array that begins as {v, v, 0, 0} begins
 as {v, v, v, v}. GCC takes a constant of 256 bits, whose upper half is not stored, for one that
 repeats its lower half. Narrower stores avoid that, at some 3 % of a step's time.
-Test: test/test_workarounds.py, `test_gcc_copies_constants_wrongly_for_wide_stores`.
+Test: test/toolchain/test_workarounds.py, `test_gcc_copies_constants_wrongly_for_wide_stores`.
 """
 
 import re

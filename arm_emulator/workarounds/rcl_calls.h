@@ -1,7 +1,7 @@
 /* Functions of rcl that are called, declared with opaque pointers.
  *
  * Versions: rcl 9.2 (Jazzy). Reason: no headers of ROS are there where it is compiled. Test:
- * test/test_hot_path.py, `test_rcl_is_called_as_its_headers_declare`.
+ * test/ros/test_hot_path.py, `test_rcl_is_called_as_its_headers_declare`.
  */
 #ifndef RCL_CALLS_H
 #define RCL_CALLS_H

@@ -5,7 +5,7 @@ its log; it hands its own check to `websockets.asyncio.server.serve`, which is r
 server starts. At its end that server waits for 10 s for a browser that does not answer, such as
 one on a computer that sleeps. A connection that ends before its first request is complete, such
 as that of a port scan, is logged with a traceback until viser has answered a request.
-Test: test/test_workarounds.py, `test_viser_has_no_hook_for_requests`.
+Test: test/toolchain/test_workarounds.py, `test_viser_has_no_hook_for_requests`.
 """
 
 import asyncio

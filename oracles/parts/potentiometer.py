@@ -7,7 +7,7 @@ from oracles.parts import analog_sensor
 NUMBERS = "[joints.NAME.potentiometer, U = rad]" + analog_sensor.NUMBERS_OF_SENSORS
 FAULTS = "[of joints, S = potentiometer, U = rad]" + analog_sensor.FAULTS_OF_SENSORS
 OUTPUTS = {"link_position": ("rad", "m")}
-EXCEEDED = 0.4  # by the quantity in a motion of `test/test_readings.py`
+EXCEEDED = 0.4  # by the quantity in a motion of `test/sensors/test_readings.py`
 
 
 def measure(plant: Plant) -> Array:

@@ -7,7 +7,7 @@ from oracles.parts import analog_sensor
 NUMBERS = "[joints.NAME.tachometer, U = rad/s]" + analog_sensor.NUMBERS_OF_SENSORS
 FAULTS = "[of joints, S = tachometer, U = rad/s]" + analog_sensor.FAULTS_OF_SENSORS
 OUTPUTS = {"link_speed": ("rad/s", "m/s")}
-EXCEEDED = 1.5  # by the quantity in a motion of `test/test_readings.py`
+EXCEEDED = 1.5  # by the quantity in a motion of `test/sensors/test_readings.py`
 
 
 def measure(plant: Plant) -> Array:

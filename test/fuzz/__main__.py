@@ -189,7 +189,7 @@ def properties(examples: int, seed: int) -> Counter[str]:
 
 def reader(sanitized: dict[str, str]) -> Counter[str]:
     """Let a reader that was compiled with sanitizers read spoiled messages, each from its heap."""
-    words = ["test/test_message_reader.py"]
+    words = ["test/ros/test_message_reader.py"]
     return _tested("reader", words, {**sanitized, "PYTHONMALLOC": "malloc"}, 1)
 
 

@@ -22,8 +22,6 @@ from arm_emulator import ExternalWrench, Plant
 
 __all__ = ["fmu", "plant", "scene"]  # fixtures
 
-TEST = Path(__file__).resolve().parent
-
 
 MEASURED = (
     "current", "brake_closed", "index_counts", "index_pulses", "link_encoder_counts",
@@ -333,9 +331,7 @@ def test_sanitizers_find_nothing(tmp_path: Path) -> None:
     """Units of both versions, called in any order: `python -m fuzz.units`."""
     command = [sys.executable, "-m", "fuzz.units", "0", "30000", str(tmp_path)]
     sanitizer_environment = environment(tmp_path / "cache")
-    sanitizer_environment["PYTHONPATH"] = (
-        f"{TEST}:{TEST.parent}:{sanitizer_environment.get('PYTHONPATH', '')}"
-    )
+    sanitizer_environment["PYTHONPATH"] = ":".join(sys.path)
     done = subprocess.run(command, env=sanitizer_environment, capture_output=True, check=False)
     assert done.returncode == 0, done.stderr.decode()[-3000:]
     for statuses in json.loads(done.stdout.splitlines()[-1])["statuses"]:

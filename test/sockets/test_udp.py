@@ -24,7 +24,7 @@ from arm_emulator.doors.udp import (
 from arm_emulator.machine.session.real_time import open_real_time_session
 
 SCENE = load_scene("three_axis")
-EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "udp_servo.c"
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "udp_servo.c"
 PATIENCE = 120.0  # s
 TICKS = 2000  # of the example
 PMSM = {"kind": "pmsm", "resistance": 0.5, "inductance_d": 1e-3, "inductance_q": 1e-3, "flux": 0.01,

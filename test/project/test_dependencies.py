@@ -6,7 +6,7 @@ import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 # Modules whose rosdep key differs from the name, or begins with python3-.
 KEYS = {"PIL": "python3-pil", "_cffi_backend": "python3-cffi"}
 # Modules whose name for pip differs.

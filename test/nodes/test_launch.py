@@ -98,7 +98,7 @@ def start(*command: str, ignores_ctrl_c: bool = False) -> subprocess.Popen[str]:
     """Start a module; ignoring Ctrl-C is what `&` in a script makes a job begin with."""
     return subprocess.Popen(
         [sys.executable, "-m", *command],
-        cwd=Path(__file__).resolve().parents[1],
+        cwd=Path(__file__).resolve().parents[2],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -124,7 +124,7 @@ def wait(condition: Callable[[], bool], expectation: str) -> None:
 
 
 def test_nodes_refuse_wrong_arguments_in_these_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(Path(__file__).resolve().parents[1])
+    monkeypatch.chdir(Path(__file__).resolve().parents[2])
     with own_domain():
         for (module, *more), words in REFUSED_NODES:
             rclpy.init(args=["--ros-args", *more])
@@ -254,7 +254,7 @@ def test_nodes_end_with_a_launcher_that_leaves_them(stop: signal.Signals) -> Non
         with own_domain():
             launcher = subprocess.Popen(
                 [sys.executable, "-c", LAUNCHER],
-                cwd=Path(__file__).resolve().parents[1],
+                cwd=Path(__file__).resolve().parents[2],
                 stdout=subprocess.PIPE,
                 text=True,
                 start_new_session=True,

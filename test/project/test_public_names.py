@@ -39,7 +39,7 @@ from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.scene.known_parts import PARTS
 from arm_emulator_fleet import Fleet, FleetWay, ServoFleet
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize("name", arm_emulator.__all__)

@@ -37,7 +37,7 @@ from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.servo.servo_arm import ServoArm
 
 N = 3
-CONFIG = Path(__file__).resolve().parents[1] / "config"
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from docs.hooks import list_page_files
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 DOCUMENTS = [*sorted(ROOT.glob("*.md")), *list_page_files().values()]
 

@@ -30,7 +30,7 @@ from arm_emulator.machine.plant.scene_unit import write_scene_unit
 
 Rng = np.random.Generator
 
-CONFIG = Path(__file__).resolve().parents[1] / "config"
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 SCENE = (CONFIG / "three_axis.yaml").read_text()
 URDF = (CONFIG / "urdf" / "three_axis.urdf").read_text()
 PATIENCE = 2.0  # s, for one file

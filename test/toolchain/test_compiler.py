@@ -368,7 +368,7 @@ def test_compilations_of_tests_share_a_compiled_header(tmp_path: Path) -> None:
     for name in "first", "second":
         (tmp_path / name).mkdir()
         subprocess.run(
-            [Path(__file__).parent / "quick_cxx", *words, tmp_path / f"{name}.so"],
+            [Path(__file__).parents[1] / "quick_cxx", *words, tmp_path / f"{name}.so"],
             env=environment | {"TMPDIR": str(tmp_path / name)},
             check=True,
         )

@@ -16,7 +16,7 @@ from arm_emulator.machine.schemes.known import SCHEMES
 from bench import PACKAGES, report
 from bench.bare import BARE, list_odd_parts
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 PUBLISHED = ROOT / "docs" / "validation" / "report"
 FOLDERS = (ROOT / "bench", *PACKAGES)
 MODULES = sorted(file.stem for folder in FOLDERS for file in folder.glob("[!_]*.py"))

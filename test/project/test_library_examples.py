@@ -13,7 +13,7 @@ from test_manners import VARIED
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.toolchain.compiler_command import find_compiler
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples"
 OURS = {
     "computed_torque.py": 40, "sweep.py": 40, "vector_env.py": 60, "my_network_tests.py": 40,

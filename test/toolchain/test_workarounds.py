@@ -158,12 +158,12 @@ def test_a_library_has_the_constants_of_its_source(size: int, tmp_path: Path) ->
 
 
 def test_each_workaround_names_versions_reason_and_an_existing_test() -> None:
-    tests = "".join(file.read_text() for file in Path(__file__).parent.glob("test_*.py"))
+    tests = "".join(file.read_text() for file in Path(__file__).parents[1].glob("*/test_*.py"))
     for file in sorted(FOLDER.iterdir()):
         if not file.is_file() or file.name == "__init__.py":
             continue
         head = file.read_text()[:1200]
-        assert "Versions: " in head and "test/test_" in head, file.name
+        assert "Versions: " in head and "test/" in head, file.name
         for name in head.split("`"):
             if name.startswith("test_"):
                 assert f"def {name}(" in tests, f"{file.name}: {name}"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-FILE = Path(__file__).resolve().parents[1] / "tools" / "install.py"
+FILE = Path(__file__).resolve().parents[2] / "tools" / "install.py"
 spec = importlib.util.spec_from_file_location("install", FILE)
 assert spec is not None and spec.loader is not None
 install = importlib.util.module_from_spec(spec)

@@ -234,7 +234,7 @@ def test_published_habits_are_taken_alike_by_all_three(tmp_path: Path, seed: int
         {**scalars, "joints": {name: dict(field) for name in names}}, "servo"
     )
     assert servo == nested and servo.joint_names == scene.joint_names
-    motion = load_motion_config(Path(__file__).parents[1] / "config/motion/three_axis.yaml")
+    motion = load_motion_config(Path(__file__).parents[2] / "config/motion/three_axis.yaml")
     check_fit(scene, servo, motion)
     for name in names:
         changed = load_scene(tmp_path / "scene.yaml", {f"joints.{name}.start": 0.25})

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from arm_emulator import JacobianController, Kinematics, Pose
 
-CONFIG = Path(__file__).resolve().parents[1] / "config"
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 THREE_AXIS = (CONFIG / "urdf" / "three_axis.urdf").read_text()
 

@@ -8,7 +8,7 @@ import scipy.linalg
 
 from arm_emulator.servo.servo import JointServo
 
-CONFIG = Path(__file__).resolve().parents[1] / "config"
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 PERIOD = 1e-3
 

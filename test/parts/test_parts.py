@@ -166,7 +166,7 @@ def test_varied_numbers_stand_in_their_places_in_cxx(part: type[Part]) -> None:
             assert number.number.least <= number.value <= number.number.most, name
 
 
-TESTS = Path(__file__).parent
+TESTS = Path(__file__).parents[1]
 TABLES = runpy.run_path(str(DOCS / "tables.py"))
 
 
@@ -233,7 +233,7 @@ def test_a_part_has_its_page_and_a_test_with_it(part: type[Part]) -> None:
         *vars(part).get("named_by", ()),
     )
     name = re.compile("|".join(rf'"{word}"|\b{part.__name__}\b' for word in labels if word))
-    tests = (file for file in TESTS.glob("test_*.py") if file != Path(__file__))
+    tests = (file for file in TESTS.glob("*/test_*.py") if file != Path(__file__))
     # `measure` is what test_readings.py tests a sensor with.
     own = any(key == "measure" or key.startswith("test_") for key in vars(get_truth(part)))
     assert own or any(name.search(file.read_text()) for file in tests), (

@@ -33,7 +33,7 @@ from arm_emulator.cli.command_line import main
 
 Rng = np.random.Generator
 
-CONFIG = Path(__file__).resolve().parents[1] / "config"
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 PATIENCE = 10.0  # s of this process's time, or ten times that by the clock
 MEMORY = 3 << 29  # bytes above what the process has: an archive's 512 MiB, its doubles, and some
 

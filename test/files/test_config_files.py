@@ -19,7 +19,7 @@ from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.ros.process.bringup import Bringup
 from arm_emulator.runs.offline import load_offline_run
 
-CONFIG = Path(__file__).resolve().parents[1] / "config"
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 
 def own_scene(folder: Path, name: str, places: dict[str, str]) -> Path:

@@ -11,7 +11,7 @@ import pytest
 
 from arm_emulator.base.products import apply_matrix, measure_length, multiply_matrices
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 DIGESTS = """
 import hashlib, pathlib, sys, tempfile
 from portable_bits import drawings

@@ -23,7 +23,7 @@ from arm_emulator_firmware.board import BOARD, CHANNEL, ENCODER, UART, load_boar
 from emulator_node.node import EmulatorParameters
 from servo_node.node import ServoNodeParameters
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config"
 UNITS = ("", "ohm", "N m s/rad")
 Read = Callable[[Any], object]

@@ -422,7 +422,7 @@ def free_port():
 
 @contextlib.contextmanager
 def started(code):
-    root = Path(__file__).parents[1]
+    root = Path(__file__).parents[2]
     with subprocess.Popen(
         [sys.executable, "-c", code], cwd=root, stderr=subprocess.PIPE
     ) as process:

@@ -21,7 +21,7 @@ from arm_emulator.motion.planner.tool_controller import make_controller
 from arm_emulator.ros.messages.time_stamp import NANOSECONDS, convert_to_nanoseconds
 from oracles.predicted_residual import predict_residual
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples"
 
 

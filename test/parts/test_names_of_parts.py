@@ -19,7 +19,7 @@ from arm_emulator.machine.parts.measuring.sensors import SENSORS
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.scene.known_parts import MOTORS, PARTS
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 OWN = ("arm_emulator/machine/parts/", "arm_emulator/core/parts/", "oracles/parts/")
 ROOMS = (
     "arm_emulator", "bench", "docs", "emulator_node", "examples", "launch",
