@@ -111,7 +111,12 @@ MUTANTS = (
         "parts/test_declared_numbers.py parts/test_parts.py",
     ),
     # Scenes, faults, states and rows of a machine.
-    Mutant(f"{MACHINE}/scene/scene.py", "ends=(1e-6, 1.0)", "ends=(1e-6, 10.0)", "machine/test_scene.py"),
+    Mutant(
+        f"{MACHINE}/scene/scene.py",
+        "ends=(1e-6, 1.0)",
+        "ends=(1e-6, 10.0)",
+        "machine/test_scene.py",
+    ),
     Mutant(
         f"{MACHINE}/scene/payload.py",
         "xx, yy, zz, xy, xz, yz = entries",
