@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from bench import fleet
-from bench.clocks import FACTOR_ERROR, OLD_SHARE, is_punctual
-from bench.ns_per_step import find_fastest_mujoco
-from bench.stability_map import is_bounded_everywhere
-from bench.threads import PAPER_RATIO, TITLES, TWO
+from bench.physics.stability_map import is_bounded_everywhere
+from bench.speed.clocks import FACTOR_ERROR, OLD_SHARE, is_punctual
+from bench.speed.ns_per_step import find_fastest_mujoco
+from bench.speed.threads import PAPER_RATIO, TITLES, TWO
 
 # what, wanted, reached, whether it is; None: nothing to hold it against, or not measured
 Row = tuple[str, str, str, bool | None]

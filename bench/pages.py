@@ -13,7 +13,6 @@ docs/pictures. Nothing else on a page is changed.
 from __future__ import annotations
 
 import argparse
-import importlib
 import re
 import shutil
 import subprocess
@@ -25,6 +24,7 @@ from pathlib import Path
 from rich.console import Console
 
 from arm_emulator.base.refusal import Refusal
+from bench import import_bench
 from bench.measure import choose_compiler
 from docs.hooks import list_page_files
 
@@ -58,7 +58,7 @@ def put_table(text: str, name: str, table: str) -> str:
 
 
 def _write_table(name: str, page: Path) -> None:
-    section = importlib.import_module(f"bench.{name}")
+    section = import_bench(name)
     table = section.write_report(section.run_bench(False))
     page.write_text(put_table(page.read_text(encoding="utf-8"), name, table), encoding="utf-8")
 
@@ -78,7 +78,7 @@ def _draw_by_bench(name: str, function: str = "draw_picture") -> Callable[[Path]
     """Return what makes a picture by a bench that draws at once."""
 
     def make_file(scratch: Path) -> Path:
-        file: Path = getattr(importlib.import_module(f"bench.{name}"), function)(scratch)
+        file: Path = getattr(import_bench(name), function)(scratch)
         return file
 
     return make_file
@@ -88,7 +88,7 @@ def _draw_by_section(name: str, file: str, quick: bool = False) -> Callable[[Pat
     """Return what makes a picture of what a bench measures."""
 
     def make_file(scratch: Path) -> Path:
-        section = importlib.import_module(f"bench.{name}")
+        section = import_bench(name)
         section.draw_figures(section.run_bench(quick), scratch)
         return scratch / file
 

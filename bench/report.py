@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import importlib
 import json
 import shutil
 import time
@@ -15,6 +14,7 @@ from typing import Any
 from rich.console import Console
 
 from arm_emulator.base.refusal import Refusal
+from bench import import_bench
 from bench.measure import describe_machine
 from bench.must_show import list_requirements
 from bench.tables import format_table
@@ -92,7 +92,7 @@ def run_benches(quick: bool, only: list[str], out: Path, publish: Path | None) -
         "failed": {},
     }
     for name in only or SECTIONS:
-        section = importlib.import_module(f"bench.{name}")
+        section = import_bench(name)
         console.rule(section.TITLE)
         started = time.monotonic()
         try:
@@ -125,7 +125,7 @@ def run_benches(quick: bool, only: list[str], out: Path, publish: Path | None) -
 def write_report(figures: dict[str, Any], out: Path) -> None:
     """Write report.md and the pictures from figures."""
     for name, values in _convert_to_json(figures)["sections"].items():
-        section: ModuleType = importlib.import_module(f"bench.{name}")
+        section: ModuleType = import_bench(name)
         if hasattr(section, "draw_figures"):
             section.draw_figures(values, out)
     (out / "report.md").write_text(report_text(figures), encoding="utf-8")
@@ -144,7 +144,7 @@ def report_text(figures: dict[str, Any]) -> str:
     ]
     lines += ["## What this does not prove", "", NOT_PROVEN]
     for name, values in figures["sections"].items():
-        section: ModuleType = importlib.import_module(f"bench.{name}")
+        section: ModuleType = import_bench(name)
         lines += ["", f"## {section.TITLE}", "", section.write_report(values)]
     for name, reason in figures["failed"].items():
         lines += ["", f"## {name}", "", f"**Failed**: {reason}"]
@@ -189,7 +189,7 @@ def _write_heading(figures: dict[str, Any]) -> list[str]:
         f"beginning: {m['load_at_start']:.1f}. All figures are in figures.json.",
     ]
     for name, at in figures.get("anew", {}).items():
-        title = importlib.import_module(f"bench.{name}").TITLE
+        title = import_bench(name).TITLE
         on = (
             ""
             if at["machine"]["processor"] == m["processor"]

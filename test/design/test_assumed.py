@@ -9,8 +9,8 @@ from documents import page_of
 from machines import CONFIG
 
 from arm_emulator import Refusal, load_scene
-from bench.assumed import ARMS, list_assumed, simulate_demos
-from bench.origins import SECTIONS, list_origins
+from bench.physics.assumed import ARMS, list_assumed, simulate_demos
+from bench.physics.origins import SECTIONS, list_origins
 
 PAGE = page_of("assumed").read_text()
 # Scenes that mark anything mark everything.

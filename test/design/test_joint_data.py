@@ -19,8 +19,8 @@ from arm_emulator.design.joint_data import JointData, list_joint_names, load_joi
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.machine.parts.frictions.friction import Friction
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
-from bench.origins import list_origins
-from bench.published_joints import JOINTS
+from bench.physics.origins import list_origins
+from bench.physics.published_joints import JOINTS
 from oracles.bam import Bam
 
 # At the output; of the servo of model M1 Coulomb's and viscous friction alone.

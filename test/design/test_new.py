@@ -375,7 +375,7 @@ def test_a_robot_that_cannot_be_emulated_is_refused_by_name(
 @pytest.mark.slow
 @pytest.mark.parametrize("name", some(["telescopic", "tilted"], 1))
 def test_a_new_arm_goes_where_it_is_sent(name: str, tmp_path: Path) -> None:
-    """A few of the moves of `python -m bench.any_arm`."""
+    """A few of the moves of `python -m bench.physics.any_arm`."""
     file = tmp_path / f"{name}.urdf"
     file.write_text(OWN[name]())
     written = write_new(file, tmp_path / "new")

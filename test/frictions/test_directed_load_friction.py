@@ -19,7 +19,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.frictions.load_friction import DIRECTED, RotorLoadFriction
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.plant.scene_unit import write_scene_unit
-from bench.published_joints import JOINTS, Published
+from bench.physics.published_joints import JOINTS, Published
 from oracles.bam import Bam
 from oracles.random_chain import write_slides
 

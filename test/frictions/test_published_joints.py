@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from draws import some
 
-from bench.published_joints import JOINTS, RAMP, WORDS, Stand
+from bench.physics.published_joints import JOINTS, RAMP, WORDS, Stand
 
 
 @pytest.mark.slow

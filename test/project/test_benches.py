@@ -1,6 +1,5 @@
 """Benches without what they measure: their modules, scenes and published report."""
 
-import importlib
 import inspect
 import itertools
 import json
@@ -13,12 +12,12 @@ from arm_emulator.base.io.config_files import find_config_folder
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
-from bench import PACKAGES, report
-from bench.bare import BARE, list_odd_parts
+from bench import PACKAGES, import_bench, report
+from bench.speed.bare import BARE, list_odd_parts
 
 ROOT = Path(__file__).resolve().parents[2]
 PUBLISHED = ROOT / "docs" / "validation" / "report"
-FOLDERS = (ROOT / "bench", *PACKAGES)
+FOLDERS = (ROOT / "bench", *ROOT.glob("bench/[!_]*/"), *PACKAGES)
 MODULES = sorted(file.stem for folder in FOLDERS for file in folder.glob("[!_]*.py"))
 SHIPPED = sorted(file.stem for file in find_config_folder().glob("*.yaml"))
 
@@ -32,12 +31,12 @@ def test_a_scene_without_its_extras_has_the_parts_of_peers(name: str, scheme: st
 
 @pytest.mark.parametrize("name", MODULES)
 def test_every_bench_can_be_imported(name: str) -> None:
-    importlib.import_module(f"bench.{name}")
+    import_bench(name)
 
 
 @pytest.mark.parametrize("name", report.SECTIONS + report.BY_NAME)
 def test_a_section_measures_reports_and_draws_its_figures(name: str) -> None:
-    section = importlib.import_module(f"bench.{name}")
+    section = import_bench(name)
     assert isinstance(section.TITLE, str)
     inspect.signature(section.run_bench).bind(True)
     inspect.signature(section.write_report).bind({})
@@ -77,7 +76,7 @@ def test_a_section_of_a_published_report_is_measured_again(
 ) -> None:
     sections = {"one": Section(), "two": Section()}
     monkeypatch.setattr(report, "SECTIONS", tuple(sections))
-    monkeypatch.setattr(report.importlib, "import_module", lambda name: sections[name[6:]])
+    monkeypatch.setattr(report, "import_bench", sections.get)
     monkeypatch.setattr(report, "describe_machine", lambda: MACHINE)
     out, page = tmp_path / "out", tmp_path / "page"
     assert (

@@ -1,6 +1,5 @@
 """README.md, CONTRIBUTING.md and docs/ agree with the code."""
 
-import importlib
 import math
 import re
 import subprocess
@@ -21,7 +20,7 @@ from arm_emulator.ros.node.node_shell import (
     STATE_SUB_QOS,
 )
 from arm_emulator.toolchain.compiler_command import find_compiler
-from bench import pages
+from bench import import_bench, pages
 from docs import generated, hooks, scene_keys
 
 GENERATED = ("build", "install", "log", "out")  # by commands; a clean checkout has none of them
@@ -283,7 +282,7 @@ def test_the_board_of_the_example_is_that_of_its_firmware(tmp_path: Path) -> Non
 def test_a_command_draws_every_picture_and_measured_table() -> None:
     assert {file.name for file in pages.PICTURES.iterdir()} == set(pages.PAINTERS)
     for name, page in pages.find_tables().items():
-        bench = importlib.import_module(f"bench.{name}")
+        bench = import_bench(name)
         assert callable(bench.run_bench) and callable(bench.write_report)
         text = page.read_text()
         changed = pages.put_table(text, name, "| a table |")

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from bench.work_precision import find_time_at_error
+from bench.speed.work_precision import find_time_at_error
 
 
 def points(*pairs):

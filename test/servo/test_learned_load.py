@@ -12,7 +12,7 @@ from one_motor import PERIOD, Drivetrain
 
 from arm_emulator.servo.servo import ServoConfig
 from arm_emulator.servo.servo_arm import ServoArm, Target
-from bench.tool_paths import drive_tool
+from bench.motion.tool_paths import drive_tool
 from oracles.followed_line import AssumedNumbers, follow_line
 
 # A count of 16 bits shows loads of 0.03 N m at the link; one of 10 bits hides all of them.

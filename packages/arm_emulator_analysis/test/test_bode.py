@@ -13,7 +13,7 @@ from arm_emulator import Plant, linearise, load_gains, load_scene
 from arm_emulator.analysis.vibration_modes import find_vibration_modes
 from arm_emulator.base.io.table_file import read_table
 from arm_emulator.motion.model.config import load_motion_config
-from bench.published_responses import ABB, Masses
+from bench.physics.published_responses import ABB, Masses
 
 RATIO, STIFFNESS, DAMPING = 0.01, 4e4, np.array([5.0, 8.0, 3.0])
 

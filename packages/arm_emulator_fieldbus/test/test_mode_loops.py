@@ -27,7 +27,7 @@ from arm_emulator.design.joint_gains import GearData, MotorData, compute_gains, 
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator_fieldbus.object_dictionary import Aborted, list_entries, modes
-from bench.modes import PAGE, make_modes_table
+from bench.motion.modes import PAGE, make_modes_table
 from oracles.any_arm import list_arms
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -274,7 +274,7 @@ def test_the_page_has_the_table_of_every_mode(name: str) -> None:
     number = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
     there, now = (text[text.index(f"#### {name}\n") :] for text in (page, make_modes_table(name)))
     there, now = (text.split("\n\n", 2)[1].strip() for text in (there, now))
-    advice = "make it anew: python -m bench.modes"
+    advice = "make it anew: python -m bench.motion.modes"
     for line, expected in zip(there.splitlines(), now.splitlines(), strict=True):
         assert number.sub("#", line) == number.sub("#", expected), advice
         numbers = [float(text) for text in number.findall(line)]

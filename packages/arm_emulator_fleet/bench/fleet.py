@@ -16,13 +16,13 @@ from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.schemes.known import SCHEMES
 from arm_emulator_fleet import Fleet
-from bench.bare import BARE
 from bench.measure import Task, measure_interleaved, show_progress
-from bench.motion import SERVO_PERIOD, make_sines
-from bench.mujoco_peer import INTEGRATORS, MujocoArm, end_of, import_mujoco
 from bench.pictures import COLOURS, make_figure, save_picture
+from bench.reference_motions import SERVO_PERIOD, make_sines
+from bench.speed.bare import BARE
+from bench.speed.mujoco_peer import INTEGRATORS, MujocoArm, end_of, import_mujoco
+from bench.speed.work_precision import list_steps
 from bench.tables import format_table
-from bench.work_precision import list_steps
 from oracles.reference import solve_positions
 
 TITLE = "Many arms"

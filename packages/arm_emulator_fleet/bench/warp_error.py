@@ -12,9 +12,9 @@ from arm_emulator import Plant
 from arm_emulator.base.arrays import Array
 from bench.fleet import make_bare_scene
 from bench.measure import show_progress
-from bench.motion import SERVO_PERIOD, make_sines
-from bench.mujoco_peer import MujocoArm, end_of
 from bench.pictures import COLOURS, make_figure, save_picture
+from bench.reference_motions import SERVO_PERIOD, make_sines
+from bench.speed.mujoco_peer import MujocoArm, end_of
 from bench.tables import format_table
 from oracles.reference import solve_positions
 

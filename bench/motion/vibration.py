@@ -1,6 +1,6 @@
 """Vibration of the tool after a fast line, with and without input shaping.
 
-    python -m bench.vibration [SCENE ...]
+    python -m bench.motion.vibration [SCENE ...]
 
 prints the table of scenes of yours.
 """
@@ -35,7 +35,7 @@ SLIDES = "joints.*.friction.coulomb"  # without it a joint does not stick after 
 SCENES = (
     "ur5",
     f"ur5, {SLIDES}",
-    str(Path(__file__).resolve().parents[1] / "config/validation/kr560/kr560.yaml"),
+    str(Path(__file__).resolve().parents[2] / "config/validation/kr560/kr560.yaml"),
 )
 LENGTH, SPEED, ACCELERATION = 0.3, 1.0, 10.0  # m, m/s, m/s2
 AT_ONCE = 1e5  # m/s3 and rad/s3: the acceleration jumps, as planners of shortest time command it
@@ -207,7 +207,7 @@ def draw_figures(figures: dict[str, Any], folder: Path) -> None:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(prog="bench.vibration", description=TITLE)
+    parser = argparse.ArgumentParser(prog="bench.motion.vibration", description=TITLE)
     parser.add_argument("scenes", nargs="*", default=SCENES, help="names or files")
     print(write_report(run_bench(False, parser.parse_args().scenes)))
 

@@ -32,7 +32,7 @@ from bench.tables import format_table
 TITLE = "Programs beside MuJoCo's"
 
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples"
 TARGET = 1e-4  # rad, the largest error of a link on the way
 FINE = 1e-5  # s, step of the solution; its error is some 1e-4 of ours
@@ -243,7 +243,7 @@ class StepChoice:
 
 def _choose_step(program: PeerProgram, solution: Array) -> StepChoice:
     """Return the quickest way of MuJoCo to `TARGET`; the most exact one if none gets there."""
-    from bench.mujoco_peer import INTEGRATORS
+    from bench.speed.mujoco_peer import INTEGRATORS
 
     tried: list[StepChoice] = []
     for integrator in INTEGRATORS:

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from bench.measure import show_progress
-from bench.pictures import make_figure, save_picture
-from bench.sticking_peers import (
+from bench.physics.sticking_peers import (
     SAMPLE,
     Bar,
     Peer,
@@ -21,6 +20,7 @@ from bench.sticking_peers import (
     predict_stick_slip,
     solve_swing,
 )
+from bench.pictures import make_figure, save_picture
 from bench.tables import format_table
 
 TITLE = "Machines that stick"

@@ -1,6 +1,6 @@
 """Distance of the true tool from its reference on a fast line, by the feed-forward.
 
-    python -m bench.feedforward [SCENE ...]
+    python -m bench.motion.feedforward [SCENE ...]
 
 prints the table of scenes of yours. KUKA's KR 300 is made by `new` from the description in config.
 """
@@ -21,7 +21,7 @@ from oracles.followed_line import AssumedNumbers, ToolLine, follow_line
 
 TITLE = "Feed-forward on a fast line"
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 SCENES = "ur5", "panda", "kuka_kr300"
 WITHOUT_SERVO = {
     "kuka_kr300": ROOT / "config" / "urdf" / "kuka_kr300.urdf"
@@ -127,7 +127,7 @@ def draw_figures(figures: dict[str, Any], folder: Path) -> None:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(prog="bench.feedforward", description=TITLE)
+    parser = argparse.ArgumentParser(prog="bench.motion.feedforward", description=TITLE)
     parser.add_argument("scenes", nargs="*", default=SCENES, help="names or files")
     print(write_report(run_bench(False, parser.parse_args().scenes)))
 

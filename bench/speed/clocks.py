@@ -58,14 +58,14 @@ def run_bench(quick: bool) -> dict[str, Any]:
 
 def _measure_in_process(clock: str, scene: str, seconds: float) -> dict[str, Any]:
     """Measure in a process of its own, on a ROS domain of its own."""
-    command = [sys.executable, "-m", "bench.clocks", clock, scene, str(seconds)]
+    command = [sys.executable, "-m", "bench.speed.clocks", clock, scene, str(seconds)]
     with own_domain():
         done = subprocess.run(
             command,
             capture_output=True,
             text=True,
             check=True,
-            cwd=Path(__file__).resolve().parents[1],
+            cwd=Path(__file__).resolve().parents[2],
         )
     figures: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return figures

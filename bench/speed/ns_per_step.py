@@ -11,8 +11,6 @@ import numpy as np
 
 from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
-from bench.bare import BARE
-from bench.chains import write_chain
 from bench.measure import (
     Task,
     WallTime,
@@ -21,8 +19,10 @@ from bench.measure import (
     measure_interleaved,
     show_progress,
 )
-from bench.mujoco_peer import INTEGRATORS, MujocoArm
 from bench.pictures import COLOURS, PEERS, make_figure, save_picture
+from bench.speed.bare import BARE
+from bench.speed.chains import write_chain
+from bench.speed.mujoco_peer import INTEGRATORS, MujocoArm
 from bench.tables import format_table
 
 TITLE = "Time per step"
@@ -143,12 +143,12 @@ def write_report(figures: dict[str, Any]) -> str:
     lines = [
         "One integration step of each machine stripped to what the peers have, too (motors, gears, "
         "links under gravity; three_axis has none): no brakes, end stops, current loops, sticking "
-        "friction (bench/bare.py). README.md has a step of each scene as shipped. Voltages held, "
-        "medians of interleaved repetitions with half the distance of the quartiles. "
+        "friction (bench/speed/bare.py). README.md has a step of each scene as shipped. Voltages "
+        "held, medians of interleaved repetitions with half the distance of the quartiles. "
         "Ours is timed in `Plant.run` over 20 000 steps, MuJoCo in one "
         "`mj_step(model, data, nstep=2000)` on the same machine. Beyond 12 joints our recursions "
         "are loops and no longer unrolled. The chains of 12 and 24 links carry the motors and "
-        "gears of three_axis (bench/chains.py).",
+        "gears of three_axis (bench/speed/chains.py).",
         "",
     ]
     rows = []

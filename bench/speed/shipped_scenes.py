@@ -12,8 +12,8 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.runs.offline import load_offline_run
-from bench.bare import BARE
 from bench.measure import Task, compile_all, measure_interleaved, show_progress
+from bench.speed.bare import BARE
 from bench.tables import format_table
 
 TITLE = "A step of each scene as shipped"

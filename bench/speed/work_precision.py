@@ -13,7 +13,6 @@ import numpy as np
 from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.schemes.known import SCHEMES
-from bench.bare import BARE
 from bench.measure import (
     Task,
     compile_all,
@@ -23,9 +22,10 @@ from bench.measure import (
     pause_collector,
     show_progress,
 )
-from bench.motion import SERVO_PERIOD, make_sines
-from bench.mujoco_peer import INTEGRATORS, MujocoArm, end_of
-from bench.work_precision_report import FROM_PYTHON, INPUTS, draw_figures, write_report
+from bench.reference_motions import SERVO_PERIOD, make_sines
+from bench.speed.bare import BARE
+from bench.speed.mujoco_peer import INTEGRATORS, MujocoArm, end_of
+from bench.speed.work_precision_report import FROM_PYTHON, INPUTS, draw_figures, write_report
 from oracles.reference import solve_positions
 
 TITLE = "Work and precision"

@@ -1,6 +1,6 @@
 """Frequency responses of published arms beside ours: a picture and its table.
 
-python -m bench.published_responses
+python -m bench.physics.published_responses
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bench.tables import format_table
 
 TITLE = "Published frequency responses"
 
-ROOT = Path(__file__).resolve().parents[1] / "config" / "validation"
+ROOT = Path(__file__).resolve().parents[2] / "config" / "validation"
 PICTURE = "published_responses"
 
 

@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 
 from arm_emulator import Plant, load_scene
 from arm_emulator.base.arrays import Array
-from bench.mujoco_peer import import_mujoco
+from bench.speed.mujoco_peer import import_mujoco
 
 G = 9.81
 SAMPLE = 1e-2  # s

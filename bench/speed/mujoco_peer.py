@@ -23,7 +23,7 @@ from arm_emulator import Diverged, Plant, Refusal, Scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.scene.joint import Joint
-from bench.bare import list_odd_parts
+from bench.speed.bare import list_odd_parts
 from oracles.reference import make_links_model
 
 INTEGRATORS = ("Euler", "implicit", "implicitfast", "discrete", "RK4")

@@ -1,6 +1,6 @@
 """Any serial arm, from its robot description alone: does it go where it is sent, and how?
 
-    python -m bench.any_arm [ROBOT ...] [--moves 30] [--out out/any_arm.json]
+    python -m bench.physics.any_arm [ROBOT ...] [--moves 30] [--out out/any_arm.json]
 
 A folder stands for all descriptions in it. The claims and the truth stand in oracles/any_arm.py.
 """
@@ -37,7 +37,9 @@ CLAIMS: tuple[tuple[str, Callable[[ToolMove], bool], float], ...] = (
 
 def main() -> None:
     """Print a row per arm, what all moves did, what failed; exit code 1 if a claim is broken."""
-    parser = argparse.ArgumentParser(prog="bench.any_arm", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="bench.physics.any_arm", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("robots", nargs="*", help="names, parts of them, files, or folders")
     parser.add_argument("--moves", type=int, default=MOVES, help="of each distance")
     parser.add_argument("--out", type=Path, default=Path("out/any_arm.json"))

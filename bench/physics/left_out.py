@@ -13,8 +13,8 @@ import yaml
 
 from arm_emulator import OfflineRun, Scene, load_gains, load_scene
 from arm_emulator.base.io.config_files import find_config_folder, find_scene
-from bench.assumed import ARMS, make_demo, measure_outcome
 from bench.measure import show_progress
+from bench.physics.assumed import ARMS, make_demo, measure_outcome
 from bench.tables import format_table
 
 TITLE = "What the scenes of the arms leave out"

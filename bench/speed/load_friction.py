@@ -1,6 +1,6 @@
 """Cost of friction that knows the direction of power: steps of ur5 with it and with `load` alone.
 
-    python -m bench.load_friction
+    python -m bench.speed.load_friction
 
 The arm as shipped, but the friction of its large or small motors, or of its links, grows with the
 load. Both laws hold and slide by the same torques: pairs of runs, and the median of their ratios.

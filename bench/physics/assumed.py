@@ -1,8 +1,8 @@
 """Spread of an arm's demo over the assumed numbers of its scene.
 
 Most figures of motors, gears and friction of the scenes are assumed, each within a range
-(bench/origins.py). Here these make the demo's motion: an arm as the scene has it, arms with one
-figure at either end of its range, and arms with all figures drawn from their ranges. Servo and
+(bench/physics/origins.py). Here these make the demo's motion: an arm as the scene has it, arms with
+one figure at either end of its range, and arms with all figures drawn from their ranges. Servo and
 motion controller are the scene's in all of them: they do not know.
 """
 
@@ -20,7 +20,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.demo.demo_plan import DemoPlan
 from bench.measure import show_progress
-from bench.origins import NumberOrigin, list_origins
+from bench.physics.origins import NumberOrigin, list_origins
 from bench.tables import format_table
 
 TITLE = "What is assumed of the arms"

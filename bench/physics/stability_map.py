@@ -15,9 +15,9 @@ from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench.measure import compile_all, map_on_all_cores
-from bench.motion import make_sines
-from bench.mujoco_peer import INTEGRATORS, MujocoArm, PeerDiverged
 from bench.pictures import make_figure, save_picture
+from bench.reference_motions import make_sines
+from bench.speed.mujoco_peer import INTEGRATORS, MujocoArm, PeerDiverged
 from bench.tables import format_table
 from oracles.reference import make_links_model
 

@@ -1,6 +1,6 @@
 """docs/reference/modes.md: eigenvalues of every loop of the drives of the shipped scenes.
 
-    python -m bench.modes
+    python -m bench.motion.modes
 
 writes it anew.
 """
@@ -13,7 +13,7 @@ from arm_emulator import load_gains, load_scene
 from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.cli.commands.check_scene import build_mode_rows, format_page_table
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "modes.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "modes.md"
 SCENES = ("three_axis", "ur5", "panda")
 HEAD = """\
 # Eigenvalues of every mode
@@ -33,8 +33,8 @@ at the worst of four poses, with the brake open and closed.
   loops less a tenth of it.
 
 Modes 1 and 8 are position, 3 and 9 speed, 4 and 10 torque and torque at the speed limit, 6 position
-and speed. Stiction, encoder steps and limits are not included. `python -m bench.modes` writes this
-page; a test compares it with the code.
+and speed. Stiction, encoder steps and limits are not included. `python -m bench.motion.modes`
+writes this page; a test compares it with the code.
 """
 
 

@@ -18,9 +18,9 @@ from scipy.optimize import brentq
 from arm_emulator import Plant, load_scene
 from arm_emulator.base.arrays import Array
 from bench.measure import show_progress
-from bench.mujoco_peer import import_mujoco
-from bench.sticking import HARD_AND_SHORT
-from bench.sticking_peers import SAMPLE, G
+from bench.physics.sticking import HARD_AND_SHORT
+from bench.physics.sticking_peers import SAMPLE, G
+from bench.speed.mujoco_peer import import_mujoco
 from bench.tables import format_table
 
 TITLE = "A gear that locks itself"

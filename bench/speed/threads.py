@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from arm_emulator import Plant
-from bench.chains import write_chain
 from bench.measure import Task, compile_all, measure_interleaved, show_progress
+from bench.speed.chains import write_chain
 from bench.tables import format_table
 
 TITLE = "Two threads"

@@ -1,6 +1,6 @@
 """Friction of published joints, measured by motions of ours and drawn over the published curves.
 
-python -m bench.published_joints
+python -m bench.physics.published_joints
 """
 
 from __future__ import annotations

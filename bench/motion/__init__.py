@@ -1,0 +1,1 @@
+"""The motion of the tool, and what controllers make of it."""
