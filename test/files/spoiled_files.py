@@ -270,19 +270,26 @@ def _run_words(kind: str) -> Callable[[Path], list[object]]:
     return words
 
 
+ONE = """<link name="${n}"><inertial><mass value="${m}"/><origin xyz="0.1 0 0"/>
+      <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+    <joint name="${n}_joint" type="revolute"><parent link="${parent}"/><child link="${n}"/>
+      <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="10" velocity="1"/></joint>"""
+
+
 def _urdf(rng: Rng, folder: Path) -> Path:
+    """Write what XACRO stands for, so that both share their libraries."""
+    links = ['<robot name="r">\n  <link name="base"/>']
+    for name, parent in (("a", "base"), ("b", "a")):
+        links.append(ONE.replace("${n}", name).replace("${parent}", parent).replace("${m}", "1.0"))
     file = folder / "spoiled.urdf"
-    file.write_text(URDF)
+    file.write_text("\n  ".join([*links, "</robot>\n"]))
     return file
 
 
-XACRO = """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
-  <xacro:property name="m" value="${2 * 0.5}"/>
+XACRO = f"""<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <xacro:property name="m" value="${{2 * 0.5}}"/>
   <xacro:macro name="one" params="n parent">
-    <link name="${n}"><inertial><mass value="${m}"/><origin xyz="0.1 0 0"/>
-      <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-    <joint name="${n}_joint" type="revolute"><parent link="${parent}"/><child link="${n}"/>
-      <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="10" velocity="1"/></joint>
+    {ONE}
   </xacro:macro>
   <link name="base"/>
   <xacro:one n="a" parent="base"/>

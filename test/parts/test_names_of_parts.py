@@ -7,7 +7,6 @@ headers, kinds of motors, sections and keys.
 import ast
 import re
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 
 import pytest
@@ -100,31 +99,28 @@ def in_cxx(text: str) -> set[str]:
     return (types - aliases) | set(re.findall(r'"parts/(\S+)"', code)) & HEADERS
 
 
-def sources() -> Iterator[tuple[str, set[str]]]:
+def names_in(path: str) -> set[str]:
+    text = (ROOT / path).read_text()
+    return in_python(text, not is_text(path)) if path.endswith(".py") else in_cxx(text)
+
+
+def sources() -> Iterator[str]:
     for room in ROOMS:
         for file in sorted((ROOT / room).rglob("*.*")):
             path = file.relative_to(ROOT).as_posix()
             if path.startswith(OWN) or "/build/" in path or "/test/" in path:
                 continue
-            if file.suffix == ".py":
-                yield path, in_python(file.read_text(), not is_text(path))
-            elif file.suffix in (".hpp", ".cpp", ".h", ".c"):
-                yield path, in_cxx(file.read_text())
-
-
-@cache
-def list_occurrences() -> dict[str, set[str]]:
-    return dict(sources())
+            if file.suffix in (".py", ".hpp", ".cpp", ".h", ".c"):
+                yield path
 
 
 @pytest.mark.slow
 def test_no_room_names_a_part() -> None:
-    assert len(list_occurrences()) > 500, "the rooms are there"
-    named = {
-        path: names for path, names in list_occurrences().items() if names and path not in ALLOWED
-    }
+    found = {path: names_in(path) for path in sources()}
+    assert len(found) > 500, "the rooms are there"
+    named = {path: names for path, names in found.items() if names and path not in ALLOWED}
     assert not named, f"what these need of a part the part declares: {named}"
 
 
 def test_every_exception_is_needed() -> None:
-    assert not {path for path in ALLOWED if not list_occurrences().get(path)}
+    assert not {path for path in ALLOWED if not names_in(path)}

@@ -63,7 +63,8 @@ class Span(NamedTuple):
 
 def dump_metadata(metadata: dict[str, Any]) -> bytes:
     """Return metadata as the text of their file."""
-    return yaml.safe_dump({"rosbag2_bagfile_information": metadata}, sort_keys=False).encode()
+    information = {"rosbag2_bagfile_information": metadata}
+    return yaml.dump(information, Dumper=yaml.CSafeDumper, sort_keys=False).encode()
 
 
 def build_metadata(
