@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING
 
 from arm_emulator.machine.schemes.known import SCHEMES
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Colours of our schemes; colours and markers of the others.
 PALETTE = ("#2a6fb0", "#0aa5a0", "#3c8f4f", "#d9731a", "#8a6d3b", "#c44e8a", "#5b5bd6", "#7f9f2f")
@@ -24,6 +26,8 @@ PEERS = {
 
 def make_figure(width: float, height: float) -> Figure:
     """Return an empty figure of a size in inches; no screen, no global state."""
+    from matplotlib.figure import Figure
+
     return Figure(figsize=(width, height), layout="constrained")
 
 

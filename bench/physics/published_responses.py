@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import signal
 
 from arm_emulator import LinearMachine, Plant, linearise, load_scene
 from arm_emulator.analysis.stability import compute_rest
@@ -117,6 +116,8 @@ def _compute_response(linear: LinearMachine, frequencies: Array) -> Array:
 
 
 def _find_peaks(response: Array, sign: float) -> list[float]:
+    from scipy import signal
+
     peaks, _ = signal.find_peaks(sign * np.log(np.abs(response)), prominence=0.1)
     return [float(frequency) for frequency in FREQUENCIES[peaks]]
 
@@ -127,6 +128,8 @@ def _read_run(name: str) -> Any:
 
 def _read_spectrum(name: str) -> dict[str, Any]:
     """Return the spectrum of the motor torques of a measured run, and its largest peak per axis."""
+    from scipy import signal
+
     record = _read_run(name)
     rate = 1.0 / (record["t"][1] - record["t"][0])
     f, power = signal.welch(record["tau_abs"][:, :AXES], rate, nperseg=SAMPLES, axis=0)

@@ -6,10 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pinocchio as pin
-from matplotlib.colors import BoundaryNorm, ListedColormap
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
@@ -183,6 +181,9 @@ def is_bounded_everywhere(figures: dict[str, Any], scheme: str) -> bool:
 
 def draw_figures(figures: dict[str, Any], folder: Path) -> None:
     """Draw the maps: a row for each parameter, a column for each scheme."""
+    import matplotlib as mpl
+    from matplotlib.colors import BoundaryNorm, ListedColormap
+
     axes = figures["axes"]
     names = list(next(iter(axes.values()))["cells"])
     figure = make_figure(2.3 * len(names) + 1.5, 8.2)

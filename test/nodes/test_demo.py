@@ -7,7 +7,6 @@ import sys
 import warnings
 from pathlib import Path
 
-import matplotlib.image
 import numpy as np
 import pytest
 from draws import some
@@ -86,7 +85,9 @@ def test_demo(scene: str, tmp_path: Path) -> None:
         assert below[0] <= 20
         assert f"after {below[0]} instructions" in printed
 
-    picture = matplotlib.image.imread(tmp_path / "fig4.png")
+    from matplotlib.image import imread
+
+    picture = imread(tmp_path / "fig4.png")
     assert min(picture.shape[:2]) > 200 and picture[..., :3].std() > 0.01  # not a blank page
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # of a file without its end

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from machines import CONFIG
-from scipy import stats
 from sensed_machine import (
     AXES,
     DRAWS,
@@ -92,6 +91,8 @@ def at_rest(plant: Plant, name: str, ticks: int) -> np.ndarray:
 
 @pytest.mark.parametrize("name", CHANNELS)
 def test_noise_of_a_sensor_is_normal_white_and_its_own(scene: Scene, name: str) -> None:
+    from scipy import stats
+
     sigma, plant = 0.25, Plant(scene)
     plain = at_rest(plant, name, 5)[-1]
     set_all(plant, {f"{name}.noise": sigma, "seed": 7.0})

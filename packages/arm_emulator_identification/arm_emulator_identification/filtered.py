@@ -10,7 +10,6 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
-from scipy.signal import butter, filtfilt, lfilter, lfilter_zi
 
 from arm_emulator.extension.base import Array, Refusal
 from arm_emulator_identification.measured_run import SLOWEST, MeasuredRun
@@ -65,20 +64,25 @@ class Filtered:
 
 def filter_low_pass(rows: Array, period: float, frequency: float, causal: bool = False) -> Array:
     """Return rows (K, ...) low-passed at `frequency` [Hz]; without a lag unless causal."""
+    from scipy import signal
+
     b, a = _design_low_pass(2.0 * frequency * period)
     smooth: Array
     if causal:
-        settled = np.multiply.outer(lfilter_zi(b, a), rows[0])  # as if the first row had lasted
-        smooth = lfilter(b, a, rows, axis=0, zi=settled)[0]
+        # As if the first row had lasted.
+        settled = np.multiply.outer(signal.lfilter_zi(b, a), rows[0])
+        smooth = signal.lfilter(b, a, rows, axis=0, zi=settled)[0]
     else:
-        smooth = filtfilt(b, a, rows, axis=0)
+        smooth = signal.filtfilt(b, a, rows, axis=0)
     return smooth
 
 
 @cache  # a fit filters thousands of columns alike
 def _design_low_pass(cutoff: float) -> tuple[Array, Array]:
     """Return numerator and denominator for a share of the highest frequency."""
-    b, a = butter(ORDER, cutoff)
+    from scipy import signal
+
+    b, a = signal.butter(ORDER, cutoff)
     return b, a
 
 
