@@ -159,16 +159,16 @@ TICK: tuple[Band, ...] = (
     Band(
         "servo node: one period in C",
         (
-            Station("takes joint_targets", _SERVO_NODE, "answered_states_take_target"),
-            Station("judges stamp and rows", _SERVO_NODE, "answered_states_judge_target"),
+            Station("takes joint_targets", _SERVO_NODE, "answered_states_receive_target"),
+            Station("judges stamp and rows", _SERVO_NODE, "answered_states_classify_target"),
             Station("keeps q, v and tau of each joint", _SERVO_C, "servo_aim"),
             Station("position, speed, current loop: volts", _SERVO_C, "servo_command"),
             Station("writes the message motor_commands", _SERVO_NODE, "publish_command"),
             Station("sends it through rcl: motor_commands", _PUBLISH, "ros_publish"),
         ),
         (
-            Station("takes motor_states of this tick", _SERVO_NODE, "answered_states_take"),
-            Station("begins the servo period", _SERVO_NODE, "answered_states_go_on"),
+            Station("takes motor_states of this tick", _SERVO_NODE, "answered_states_receive"),
+            Station("begins the servo period", _SERVO_NODE, "answered_states_accept"),
             Station("counts to angles, speeds, loads", _SERVO_C, "servo_measure"),
             Station("publishes joint_states, servo_states", _SERVO_NODE, "report"),
         ),
@@ -176,7 +176,7 @@ TICK: tuple[Band, ...] = (
     Band(
         "emulator node: one tick in C",
         (
-            Station("takes motor_commands", _EMULATOR, "answered_ticks_take"),
+            Station("takes motor_commands", _EMULATOR, "answered_ticks_receive"),
             Station("reads the volts and their tick",
                     "emulator_node/c/motor_commands.c", "motor_commands_read"),
         ),

@@ -75,7 +75,7 @@ class AnsweredTicks:
         struct = ANSWERED_TICKS.ffi.addressof(self._struct, "commands")
         self._commands = CommandReader(scene, struct, len(reports.outgoing))
         argument = ANSWERED_TICKS.ffi.cast("void *", self._struct)
-        self.takes = [(subscription, code.answered_ticks_take, argument)]
+        self.takes = [(subscription, code.answered_ticks_receive, argument)]
         self.outgoing = reports.outgoing
 
     def begin_in_c(self) -> None:

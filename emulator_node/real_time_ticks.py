@@ -114,7 +114,7 @@ class RealTimeTicks:
         message = self._messages[0].layout
         message.message.powered = self._session.powered
         message.write_numbers()
-        self._calls.real_time_ticks_put(self.at, self._session.tick)
+        self._calls.real_time_ticks_set_tick(self.at, self._session.tick)
 
     def record_messages(self, topic: str) -> None:
         """Write what C has published and taken into the record; `topic`: of the commands."""
@@ -142,7 +142,7 @@ class RealTimeCommands:
     def __init__(self, own: Context, ticks: RealTimeTicks, subscription: Subscription) -> None:
         self._session, self._ticks, self._node = own.session, ticks, own.node
         ffi = REAL_TIME_TICKS.ffi
-        take = real_time_ticks().real_time_ticks_take
+        take = real_time_ticks().real_time_ticks_receive
         self.takes = [(subscription, take, ffi.cast("void *", ticks.at))]
         self.outgoing: tuple[Outgoing, ...] = ()
 

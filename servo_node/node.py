@@ -58,7 +58,7 @@ PARAMETERS = "parameters of node servo"
 SILENCE_CHECK = 0.1  # s, wall
 REPEATED, RESTARTED, STATE_OFF_TIME, OF_ANOTHER = map(
     ANSWERED_STATES.get_constant,
-    ("STATE_REPEATED", "STATE_ANEW", "STATE_OFF_TIME", "STATE_OF_ANOTHER"),
+    ("STATE_REPEATED", "STATE_RESTARTED", "STATE_OFF_TIME", "STATE_OF_ANOTHER"),
 )
 DUE, TARGET_OFF_TIME = map(ANSWERED_STATES.get_constant, ("TARGET_DUE", "TARGET_OFF_TIME"))
 LATE = {  # words for diagnostics
@@ -175,8 +175,8 @@ class ServoNode(ManagedNode):
         )
         argument = ANSWERED_STATES.ffi.cast("void *", hot.at)
         self.takes = (
-            (state, self._calls.answered_states_take, argument),
-            (target, self._calls.answered_states_take_target, argument),
+            (state, self._calls.answered_states_receive, argument),
+            (target, self._calls.answered_states_receive_target, argument),
         )
         self.hot = self
         self.create_service(Trigger, "~/reset", self._handle_reset)
@@ -246,7 +246,7 @@ class ServoNode(ManagedNode):
     def _handle_state(self, data: bytes) -> None:
         at, calls, diagnostics = self._at, self._calls, self._diagnostics
         at.now = read_clock()
-        verdict = calls.answered_states_judge(at, data, len(data))
+        verdict = calls.answered_states_classify(at, data, len(data))
         if refusal := self._find_refusal(verdict, data):
             diagnostics.refuse_input("motor_states", refusal)
             return
@@ -265,7 +265,7 @@ class ServoNode(ManagedNode):
             self._config, self._next_config = self._next_config, None
             self._drives.set_config(self._config)
         at.answers = 0
-        calls.answered_states_go_on(at)
+        calls.answered_states_accept(at)
         self.end_in_c()
 
     def _find_refusal(self, verdict: int, data: bytes) -> Refusal | None:
@@ -280,7 +280,7 @@ class ServoNode(ManagedNode):
 
     def _take_target(self, data: bytes) -> None:
         at, calls, diagnostics = self._at, self._calls, self._diagnostics
-        verdict = calls.answered_states_judge_target(at, data, len(data))
+        verdict = calls.answered_states_classify_target(at, data, len(data))
         if verdict in LATE:
             diagnostics.count_input(f"joint_targets {LATE[verdict]}")
         elif verdict == TARGET_OFF_TIME:
@@ -293,7 +293,7 @@ class ServoNode(ManagedNode):
             diagnostics.refuse_input("joint_targets", malformed)
         elif verdict == DUE:
             at.states = at.answers = 0
-            calls.answered_states_aim(at)
+            calls.answered_states_set_target(at)
             self.end_in_c()
 
     def _report_drives(self) -> None:

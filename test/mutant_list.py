@@ -598,7 +598,7 @@ MUTANTS = (
     ),
     Mutant(
         "servo_node/c/answered_states.c",
-        " && are_aimed_at(own))",
+        " && has_same_target(own))",
         ")",
         "ros/test_hot_path.py nodes/test_sole_publisher.py nodes/test_lockstep.py",
     ),

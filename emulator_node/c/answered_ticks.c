@@ -9,7 +9,7 @@ static void report(answered_ticks* ticks) {
   ticks->publish(ticks->clock, time, tick, ticks->log);
 }
 
-int answered_ticks_take(void* with, const uint8_t* data, int64_t size) {
+int answered_ticks_receive(void* with, const uint8_t* data, int64_t size) {
   answered_ticks* ticks = with;
   tick_machine* at = ticks->at;
   motor_commands* commands = &ticks->commands;

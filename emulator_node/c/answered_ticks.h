@@ -31,7 +31,7 @@ typedef struct answered_ticks {
 } answered_ticks;
 
 /* `take` of a ros_topic: go through a servo period, unless the message or the time is unusual. */
-int answered_ticks_take(void* with, const uint8_t* data, int64_t size);
+int answered_ticks_receive(void* with, const uint8_t* data, int64_t size);
 
 #ifdef __cplusplus
 }

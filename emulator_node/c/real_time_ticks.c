@@ -73,7 +73,7 @@ int real_time_ticks_run(real_time_ticks* ticks) {
 
 /* --------------------------------------------------------------------------------- commands */
 
-int real_time_ticks_take(void* with, const uint8_t* data, int64_t size) {
+int real_time_ticks_receive(void* with, const uint8_t* data, int64_t size) {
   real_time_ticks* ticks = with;
   const motor_commands* commands = &ticks->commands;
   if (!ticks->open) return ROS_FOR_PYTHON;
@@ -90,7 +90,7 @@ int real_time_ticks_take(void* with, const uint8_t* data, int64_t size) {
   return ROS_TAKEN;
 }
 
-void real_time_ticks_put(real_time_ticks* ticks, int64_t tick) {
+void real_time_ticks_set_tick(real_time_ticks* ticks, int64_t tick) {
   pthread_mutex_lock(&ticks->locks->numbers);
   ticks->tick = tick;
   pthread_mutex_unlock(&ticks->locks->numbers);

@@ -50,9 +50,9 @@ int real_time_ticks_run(real_time_ticks* ticks);
 int real_time_ticks_catch_up(real_time_ticks* ticks);
 
 /* `take` of a ros_topic: commands newer than those before. */
-int real_time_ticks_take(void* with, const uint8_t* data, int64_t size);
+int real_time_ticks_receive(void* with, const uint8_t* data, int64_t size);
 /* The machine was put to a tick, which Python publishes. */
-void real_time_ticks_put(real_time_ticks* ticks, int64_t tick);
+void real_time_ticks_set_tick(real_time_ticks* ticks, int64_t tick);
 /* Exchange the log for another one of the same room. */
 void real_time_ticks_exchange_log(real_time_ticks* ticks, ros_log* other);
 

@@ -3,7 +3,7 @@
 #include <stddef.h>
 #include <string.h>
 
-static int waits_for_targets(const answered_states* own) {
+static int is_waiting_for_targets(const answered_states* own) {
   return own->lockstep && own->motion_ticks;
 }
 
@@ -32,7 +32,7 @@ static void answer(answered_states* own) {
 
 /* ------------------------------------------------------------------------------ motor states */
 
-int32_t answered_states_judge(answered_states* own, const uint8_t* data, int64_t size) {
+int32_t answered_states_classify(answered_states* own, const uint8_t* data, int64_t size) {
   if (!message_open(own->state, data, size)) return STATE_MALFORMED;
   const int64_t time = own->state_time, tick = time / own->period;
   if (time % own->period || (uint64_t)tick != own->state_tick) return STATE_OFF_TIME;
@@ -41,15 +41,15 @@ int32_t answered_states_judge(answered_states* own, const uint8_t* data, int64_t
   if (own->state_machine && own->state_machine != own->machine) {
     const int is_later = own->machine && own->machine < own->state_machine;
     if (is_later && own->now - own->heard < own->longest_quiet) return STATE_OF_ANOTHER;
-    return is_first ? STATE_NEXT : STATE_ANEW;
+    return is_first ? STATE_NEXT : STATE_RESTARTED;
   }
   if (is_first) return STATE_NEXT;
   if (tick == own->tick) return STATE_REPEATED;
   /* In lock-step no tick is skipped, unless it runs free: then nothing is lost. */
-  return tick < own->tick || (own->lockstep && tick > own->tick + 1) ? STATE_ANEW : STATE_NEXT;
+  return tick < own->tick || (own->lockstep && tick > own->tick + 1) ? STATE_RESTARTED : STATE_NEXT;
 }
 
-void answered_states_go_on(answered_states* own) {
+void answered_states_accept(answered_states* own) {
   const int64_t time = own->state_time;
   if (own->state_machine) own->machine = own->state_machine;
   own->tick = (int64_t)own->state_tick;
@@ -59,7 +59,7 @@ void answered_states_go_on(answered_states* own) {
   servo_measure(own->arm, time, own->counts, own->current,
                 own->applied_field->came ? own->applied : NULL,
                 own->brake_field->came ? own->brake : NULL);
-  const int begins = waits_for_targets(own) && own->tick % own->motion_ticks == 0;
+  const int begins = is_waiting_for_targets(own) && own->tick % own->motion_ticks == 0;
   if (begins) {
     own->waiting = 1;
     own->cycle = time;
@@ -76,33 +76,33 @@ void answered_states_repeat(answered_states* own) {
     publish_command(own);
 }
 
-int answered_states_take(void* with, const uint8_t* data, int64_t size) {
+int answered_states_receive(void* with, const uint8_t* data, int64_t size) {
   answered_states* own = with;
-  if (!own->open || answered_states_judge(own, data, size) != STATE_NEXT) return ROS_FOR_PYTHON;
-  answered_states_go_on(own);
+  if (!own->open || answered_states_classify(own, data, size) != STATE_NEXT) return ROS_FOR_PYTHON;
+  answered_states_accept(own);
   return ROS_TAKEN;
 }
 
 /* ----------------------------------------------------------------------------- joint targets */
 
-static int are_aimed_at(const answered_states* own) {
+static int has_same_target(const answered_states* own) {
   for (int32_t j = 0; j < own->arm->joints; ++j)
     if (own->q[j] != own->aimed[j]) return 0;
   return 1;
 }
 
-int32_t answered_states_judge_target(answered_states* own, const uint8_t* data, int64_t size) {
+int32_t answered_states_classify_target(answered_states* own, const uint8_t* data, int64_t size) {
   if (!message_open(own->target, data, size) || !message_rows(own->target)) return TARGET_MALFORMED;
   const int64_t time = own->target_time;
-  if (!waits_for_targets(own)) return TARGET_DUE;
-  if (time == own->cycle) return own->waiting ? TARGET_DUE : TARGET_NEEDLESS;
+  if (!is_waiting_for_targets(own)) return TARGET_DUE;
+  if (time == own->cycle) return own->waiting ? TARGET_DUE : TARGET_DUPLICATE;
   /* A motion controller answers joint states once more that are repeated to it. */
-  if (time == own->cycle - own->motion_ticks * own->period && are_aimed_at(own))
+  if (time == own->cycle - own->motion_ticks * own->period && has_same_target(own))
     return TARGET_REPEATED;
   return time == own->cycle_before_reset ? TARGET_BEFORE_RESET : TARGET_OFF_TIME;
 }
 
-void answered_states_aim(answered_states* own) {
+void answered_states_set_target(answered_states* own) {
   memcpy(own->aimed, own->q, (size_t)own->arm->joints * sizeof *own->q);
   servo_aim(own->arm, own->q, own->v_field->came ? own->v : NULL,
             own->tau_field->came ? own->tau : NULL);
@@ -111,10 +111,10 @@ void answered_states_aim(answered_states* own) {
   answer(own);
 }
 
-int answered_states_take_target(void* with, const uint8_t* data, int64_t size) {
+int answered_states_receive_target(void* with, const uint8_t* data, int64_t size) {
   answered_states* own = with;
-  if (!own->open || answered_states_judge_target(own, data, size) != TARGET_DUE)
+  if (!own->open || answered_states_classify_target(own, data, size) != TARGET_DUE)
     return ROS_FOR_PYTHON;
-  answered_states_aim(own);
+  answered_states_set_target(own);
   return ROS_TAKEN;
 }

@@ -18,7 +18,8 @@ extern "C" {
 enum state_verdict {
   STATE_NEXT = 0,
   STATE_REPEATED = 1,
-  STATE_ANEW = 2, /* of an emulator that began anew, or of another one: forget what was, go on */
+  STATE_RESTARTED =
+      2, /* of an emulator that began anew, or of another one: forget what was, go on */
   STATE_MALFORMED = 3,  /* refused by its reader */
   STATE_OFF_TIME = 4,   /* refused: its stamp is not that of its tick */
   STATE_OF_ANOTHER = 5, /* refused: of an emulator that was started later than the one served */
@@ -26,7 +27,7 @@ enum state_verdict {
 
 enum target_verdict {
   TARGET_DUE = 0,
-  TARGET_NEEDLESS = 1,     /* this motion period's, published again */
+  TARGET_DUPLICATE = 1,    /* this motion period's, published again */
   TARGET_REPEATED = 2,     /* late: those of the motion period before, published again */
   TARGET_BEFORE_RESET = 3, /* late: an answer to a question before the reset */
   TARGET_MALFORMED = 4,    /* refused by its reader */
@@ -67,21 +68,21 @@ typedef struct answered_states {
 } answered_states;
 
 /* Judge a motor state: enum state_verdict. */
-int32_t answered_states_judge(answered_states* own, const uint8_t* data, int64_t size);
+int32_t answered_states_classify(answered_states* own, const uint8_t* data, int64_t size);
 /* Go on with the state that was judged last: measure, report, answer. */
-void answered_states_go_on(answered_states* own);
+void answered_states_accept(answered_states* own);
 /* Publish the newest answer again; while targets are waited for, the joint states they answer. */
 void answered_states_repeat(answered_states* own);
 
 /* Judge joint targets: enum target_verdict. */
-int32_t answered_states_judge_target(answered_states* own, const uint8_t* data, int64_t size);
+int32_t answered_states_classify_target(answered_states* own, const uint8_t* data, int64_t size);
 /* Follow the targets that were judged last, and answer the state that waits for them. */
-void answered_states_aim(answered_states* own);
+void answered_states_set_target(answered_states* own);
 
 /* `take` of a ros_topic: the next state. */
-int answered_states_take(void* with, const uint8_t* data, int64_t size);
+int answered_states_receive(void* with, const uint8_t* data, int64_t size);
 /* `take` of a ros_topic: targets, in lock-step those that are waited for. */
-int answered_states_take_target(void* with, const uint8_t* data, int64_t size);
+int answered_states_receive_target(void* with, const uint8_t* data, int64_t size);
 
 #ifdef __cplusplus
 }

@@ -70,7 +70,9 @@ def test_a_station_names_a_function_of_its_file(station: architecture.Station) -
 def test_a_station_whose_function_is_elsewhere_is_refused(
     change: dict[str, str], missing: str
 ) -> None:
-    station = architecture.Station("", "servo_node/c/answered_states.c", "answered_states_aim")
+    station = architecture.Station(
+        "", "servo_node/c/answered_states.c", "answered_states_set_target"
+    )
     architecture.check_stations([architecture.Band("", (station,), ())])
     wrong = replace(station, **change)
     with pytest.raises(Missing, match=missing):

@@ -15,10 +15,10 @@
 #ifdef SERVO_LANES
 typedef servo_count servo_mask;
 
-SERVO_INLINE servo_real real_of(servo_count counts) {
+SERVO_INLINE servo_real to_real(servo_count counts) {
   return __builtin_convertvector(counts, servo_real);
 }
-SERVO_INLINE servo_flag flag_of(servo_mask mask, int bit) { return mask & bit; }
+SERVO_INLINE servo_flag make_flag(servo_mask mask, int bit) { return mask & bit; }
 SERVO_INLINE int any(servo_mask mask) {
 #ifdef __AVX512DQ__ /* one instruction */
   typedef long long whole __attribute__((vector_size(64)));
@@ -35,16 +35,16 @@ SERVO_INLINE int any(servo_mask mask) {
 #else
 typedef int servo_mask;
 
-SERVO_INLINE servo_real real_of(servo_count counts) { return (servo_real)counts; }
-SERVO_INLINE servo_flag flag_of(servo_mask mask, int bit) { return mask ? bit : 0; }
+SERVO_INLINE servo_real to_real(servo_count counts) { return (servo_real)counts; }
+SERVO_INLINE servo_flag make_flag(servo_mask mask, int bit) { return mask ? bit : 0; }
 SERVO_INLINE int any(servo_mask mask) { return mask; }
 #endif
 
-SERVO_INLINE servo_real all_of(servo_scalar value) {
+SERVO_INLINE servo_real broadcast(servo_scalar value) {
   const servo_real zero = {0};
   return zero + value;
 }
-SERVO_INLINE servo_flag flags(int value) {
+SERVO_INLINE servo_flag broadcast_flags(int value) {
   const servo_flag zero = {0};
   return zero + value;
 }

@@ -27,16 +27,16 @@ static const servo_scalar SWIFT = (servo_scalar)0.5;
 static const servo_scalar KEPT = 2, PER_KEPT = (servo_scalar)0.5;
 
 /* A servo period, in quantities of the link. */
-typedef struct servo_seen {
+typedef struct servo_sample {
   servo_mask follows; /* a target */
   servo_mask moves;   /* with torques that change */
   servo_real passed;  /* s */
   servo_real tau;     /* announced, N m */
   servo_real load;    /* observed, N m */
   servo_real count;   /* change of the observed load by one count of the encoder, N m */
-} servo_seen;
+} servo_sample;
 
-SERVO_INLINE void forget_load(servo_learned* learned, servo_mask where) {
+SERVO_INLINE void reset_load(servo_learned* learned, servo_mask where) {
   const servo_real zero = {0};
   learned->excess = where ? zero : learned->excess;
   learned->tau_base = where ? zero : learned->tau_base;
@@ -47,14 +47,14 @@ SERVO_INLINE void forget_load(servo_learned* learned, servo_mask where) {
   learned->watched = where ? zero : learned->watched;
 }
 
-SERVO_INLINE servo_real expected_load(const servo_learned* learned, servo_real tau) {
+SERVO_INLINE servo_real compute_expected_load(const servo_learned* learned, servo_real tau) {
   return tau + learned->excess * (tau - learned->tau_base);
 }
 
 /* The base follows slowly; where no factor counts it is what is announced at rest. Returns by how
  * much the base has changed. */
-SERVO_INLINE servo_real follow_slowly(servo_learned* learned, const servo_seen* seen) {
-  const servo_real zero = {0}, one = all_of(1);
+SERVO_INLINE servo_real update_load_base(servo_learned* learned, const servo_sample* seen) {
+  const servo_real zero = {0}, one = broadcast(1);
   const servo_mask rests = seen->follows & (seen->moves == 0);
   const servo_real slow = seen->passed < SLOW ? seen->passed * PER_SLOW : one;
   const servo_real share = (rests & (learned->excess == 0)) ? one : slow;
@@ -64,8 +64,8 @@ SERVO_INLINE servo_real follow_slowly(servo_learned* learned, const servo_seen* 
 }
 
 /* Go on with means, evidence and product by one period of motion (Welford's update). */
-SERVO_INLINE void gather(servo_learned* learned, const servo_seen* seen) {
-  const servo_real zero = {0}, one = all_of(1);
+SERVO_INLINE void update_means(servo_learned* learned, const servo_sample* seen) {
+  const servo_real zero = {0}, one = broadcast(1);
   const servo_real kept = seen->passed < KEPT ? one - seen->passed * PER_KEPT : zero;
   const servo_real watched = kept * learned->watched + seen->passed;
   const servo_real tau = seen->tau - learned->tau_mean, load = seen->load - learned->load_mean;
@@ -80,19 +80,19 @@ SERVO_INLINE void gather(servo_learned* learned, const servo_seen* seen) {
 }
 
 /* Return the torque that the expected load loses because the base has changed: the integral's. */
-SERVO_INLINE servo_real learn_load(servo_learned* learned, const servo_seen* seen) {
-  const servo_real zero = {0}, one = all_of(1);
+SERVO_INLINE servo_real learn_load(servo_learned* learned, const servo_sample* seen) {
+  const servo_real zero = {0}, one = broadcast(1);
   const servo_mask moves = seen->moves;
   if (!any(moves | (seen->tau != learned->tau_base))) return zero;
-  const servo_real lost = learned->excess * follow_slowly(learned, seen);
+  const servo_real lost = learned->excess * update_load_base(learned, seen);
   if (!any(moves)) return lost;
-  gather(learned, seen);
+  update_means(learned, seen);
   const servo_real doubt = DOUBTS * DOUBTS * DOUBTED * seen->count * seen->count;
   const servo_real factor = (doubt + learned->product) / (doubt + learned->evidence);
   const servo_mask sound = is_finite(factor + lost);
   const servo_mask right = ((factor * RIGHT > 1) & (factor < RIGHT)) | (learned->watched < SETTLED);
-  const servo_real bounded = bound(factor, all_of(SERVO_LEAST), all_of(SERVO_MOST));
+  const servo_real bounded = bound(factor, broadcast(SERVO_LEAST), broadcast(SERVO_MOST));
   learned->excess = moves ? (right ? zero : bounded - one) : learned->excess;
-  forget_load(learned, moves & (sound == 0));
+  reset_load(learned, moves & (sound == 0));
   return sound ? lost : zero;
 }

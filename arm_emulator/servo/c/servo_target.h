@@ -10,20 +10,21 @@ static const servo_scalar GOES_ON = (servo_scalar)0.8, TURNS = (servo_scalar)0.4
 static const servo_scalar SIXTH = (servo_scalar)1 / 6;
 
 /* Take a target; `since`: seconds since the one before, if that was followed until now. */
-SERVO_INLINE void take_target(servo_state* state, servo_mask where, servo_real q, servo_real v,
-                              servo_real tau, servo_real since) {
+SERVO_INLINE void set_target(servo_state* state, servo_mask where, servo_real q, servo_real v,
+                             servo_real tau, servo_real since) {
   const servo_real zero = {0};
   const servo_mask goes_on = where & (since > 0);
   servo_real a = zero, jerk = zero, tau_rate = zero;
   if (any(goes_on)) {
-    const servo_real rate = all_of(1) / since, changed = (v - state->v_target) * rate,
+    const servo_real rate = broadcast(1) / since, changed = (v - state->v_target) * rate,
                      change = (changed - state->a_target) * rate;
-    const servo_real share = change * state->jerk_target < 0 ? all_of(TURNS) : all_of(GOES_ON);
+    const servo_real share =
+        change * state->jerk_target < 0 ? broadcast(TURNS) : broadcast(GOES_ON);
     a = goes_on ? changed : zero;
     jerk = goes_on ? share * change : zero;
     tau_rate = goes_on ? (tau - state->tau) * rate : zero;
   }
-  state->stood &= ~flag_of(where, 1);
+  state->stood &= ~make_flag(where, 1);
   state->q_target = where ? q : state->q_target;
   state->v_target = where ? v : state->v_target;
   state->tau = where ? tau : state->tau;
@@ -34,7 +35,7 @@ SERVO_INLINE void take_target(servo_state* state, servo_mask where, servo_real q
 
 /* Stay at the target's angle without what is not finite. Without an angle the joint has no command
  * until the next target. */
-SERVO_INLINE void drop_unsound_target(servo_state* state, servo_mask where) {
+SERVO_INLINE void clear_invalid_target(servo_state* state, servo_mask where) {
   servo_real* const numbers[] = {&state->v_target, &state->tau, &state->a_target,
                                  &state->jerk_target, &state->tau_rate};
   const servo_real zero = {0};
@@ -43,20 +44,21 @@ SERVO_INLINE void drop_unsound_target(servo_state* state, servo_mask where) {
 }
 
 /* Motion that is asked of a link. */
-typedef struct servo_way {
+typedef struct servo_motion {
   servo_real q, v, a;
-} servo_way;
+} servo_motion;
 
 /* Return the motion s after a target came: the cubic whose mean speeds are those of the targets. */
-SERVO_INLINE servo_way way_at(const servo_state* state, servo_real s, servo_real period) {
+SERVO_INLINE servo_motion interpolate_target(const servo_state* state, servo_real s,
+                                             servo_real period) {
   const servo_real a = state->a_target, jerk = state->jerk_target;
   const servo_real v = state->v_target - (HALF * a + jerk * period * SIXTH) * period;
-  const servo_way way = {state->q_target + (v + (HALF * a + jerk * s * SIXTH) * s) * s,
-                         v + (a + HALF * jerk * s) * s, a + jerk * s};
+  const servo_motion way = {state->q_target + (v + (HALF * a + jerk * s * SIXTH) * s) * s,
+                            v + (a + HALF * jerk * s) * s, a + jerk * s};
   return way;
 }
 
 /* Return the announced torque, `since` the middle of the target's motion period. */
-SERVO_INLINE servo_real tau_at(const servo_state* state, servo_real since) {
+SERVO_INLINE servo_real extrapolate_torque(const servo_state* state, servo_real since) {
   return state->tau + since * state->tau_rate;
 }

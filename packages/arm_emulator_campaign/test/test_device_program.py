@@ -207,7 +207,7 @@ def test_judges_call_nothing_that_a_card_has_not(tmp_path: Path) -> None:
     ptx = load_ptx(build_judges_unit(), "sm_90")
     text = ptx.decode()
     kernels = re.findall(r"\.visible \.entry (\w+)\(", text)
-    assert sorted(kernels) == ["judge_begin", "judge_build", "judge_end", "judge_take"]
+    assert sorted(kernels) == ["judge_add_samples", "judge_begin", "judge_build", "judge_end"]
     assert not re.findall(r"^\s*\.extern .*", text, re.M)
     if has_ptxas():
         source = tmp_path / "judges.ptx"

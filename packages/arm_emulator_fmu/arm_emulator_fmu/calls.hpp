@@ -8,24 +8,25 @@
 
 namespace fmu {
 
-inline FmiStatus as_fmi(Status status) { return static_cast<FmiStatus>(status); }
+inline FmiStatus to_fmi_status(Status status) { return static_cast<FmiStatus>(status); }
 
 // Return the result of `call` if the instance is in one of these modes.
 template <class Call>
 FmiStatus in(std::uint32_t modes, FmiInstance instance, const char* name, Call&& call) {
   auto* const one = static_cast<Instance*>(instance);
-  if (!one || !one->allows(modes, name)) return as_fmi(kError);
+  if (!one || !one->allows(modes, name)) return to_fmi_status(kError);
   try {
-    return as_fmi(call(*one));
+    return to_fmi_status(call(*one));
   } catch (const std::bad_alloc&) {
-    return as_fmi(one->report(kError, "%s: there is no memory left", name));
+    return to_fmi_status(one->report(kError, "%s: there is no memory left", name));
   }
 }
 
 // Functions that modelDescription.xml declares as missing.
-inline FmiStatus not_there(FmiInstance instance, const char* name) {
-  if (!instance) return as_fmi(kError);
-  return as_fmi(static_cast<Instance*>(instance)->report(kError, "%s is not supported", name));
+inline FmiStatus report_missing(FmiInstance instance, const char* name) {
+  if (!instance) return to_fmi_status(kError);
+  return to_fmi_status(
+      static_cast<Instance*>(instance)->report(kError, "%s is not supported", name));
 }
 
 }  // namespace fmu
@@ -38,5 +39,5 @@ inline FmiStatus not_there(FmiInstance instance, const char* name) {
   }
 #define FMI_NOT_THERE(function, ...)                                    \
   FmiStatus function(FmiInstance instance __VA_OPT__(, ) __VA_ARGS__) { \
-    return fmu::not_there(instance, #function);                         \
+    return fmu::report_missing(instance, #function);                    \
   }

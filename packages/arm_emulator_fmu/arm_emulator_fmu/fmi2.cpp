@@ -28,7 +28,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     const auto log = [to = callbacks.logger, environment = callbacks.componentEnvironment](
                          const char* one, fmu::Status status, const char* category,
                          const char* text) {
-      if (to) to(environment, one, fmu::as_fmi(status), category, "%s", text);
+      if (to) to(environment, one, fmu::to_fmi_status(status), category, "%s", text);
     };
     if (Instance* one = fmu::make_instance(name, logging, log)) return one;
     reason = "the machine cannot be made";
@@ -73,7 +73,7 @@ FMI_CALL(fmi2SetString, fmu::kAnyMode, none(name, count), const fmi2ValueReferen
 // ------------------------------------------------------------------------------------ whole states
 
 FMI_CALL(fmi2GetFMUstate, fmu::kAnyMode, keep(state), fmi2FMUstate* state)
-FMI_CALL(fmi2SetFMUstate, fmu::kAnyMode, go_back_to(state), fmi2FMUstate state)
+FMI_CALL(fmi2SetFMUstate, fmu::kAnyMode, restore_state(state), fmi2FMUstate state)
 FMI_CALL(fmi2FreeFMUstate, fmu::kAnyMode, forget(state), fmi2FMUstate* state)
 FMI_CALL(fmi2SerializedFMUstateSize, fmu::kAnyMode, size_of(state, size), fmi2FMUstate state,
          size_t* size)
@@ -88,7 +88,7 @@ FMI_CALL(fmi2DeSerializeFMUstate, fmu::kAnyMode, read_state(bytes, size, state),
 // cancelled from another thread.
 fmi2Status fmi2GetRealStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Real* value) {
   if (kind != fmi2LastSuccessfulTime || !value)
-    return fmu::not_there(component, "fmi2GetRealStatus");
+    return fmu::report_missing(component, "fmi2GetRealStatus");
   return fmu::in(fmu::kAnyMode, component, "fmi2GetRealStatus", [&](Instance& one) {
     *value = one.time();
     return fmu::kOk;
@@ -96,7 +96,8 @@ fmi2Status fmi2GetRealStatus(fmi2Component component, const fmi2StatusKind kind,
 }
 fmi2Status fmi2GetBooleanStatus(fmi2Component component, const fmi2StatusKind kind,
                                 fmi2Boolean* value) {
-  if (kind != fmi2Terminated || !value) return fmu::not_there(component, "fmi2GetBooleanStatus");
+  if (kind != fmi2Terminated || !value)
+    return fmu::report_missing(component, "fmi2GetBooleanStatus");
   return fmu::in(fmu::kAnyMode, component, "fmi2GetBooleanStatus", [&](Instance&) {
     *value = false;
     return fmu::kOk;

@@ -46,7 +46,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
   if (!are_outputs(intermediate, intermediates))
     return refuse(log, environment, "intermediate variables must be outputs");
   const auto send = [=](const char*, fmu::Status status, const char* category, const char* text) {
-    if (log) log(environment, fmu::as_fmi(status), category, text);
+    if (log) log(environment, fmu::to_fmi_status(status), category, text);
   };
   // At a tick: the importer may read variables, and request an early return.
   const auto watch = [=](double time, double* until) {
@@ -145,7 +145,7 @@ FMI_CALL(fmi3SetClock, fmu::kAnyMode, none(name, count), const fmi3ValueReferenc
 // -------------------------------------------------------------------------------- whole states
 
 FMI_CALL(fmi3GetFMUState, fmu::kAnyMode, keep(state), fmi3FMUState* state)
-FMI_CALL(fmi3SetFMUState, fmu::kAnyMode, go_back_to(state), fmi3FMUState state)
+FMI_CALL(fmi3SetFMUState, fmu::kAnyMode, restore_state(state), fmi3FMUState state)
 FMI_CALL(fmi3FreeFMUState, fmu::kAnyMode, forget(state), fmi3FMUState* state)
 FMI_CALL(fmi3SerializedFMUStateSize, fmu::kAnyMode, size_of(state, size), fmi3FMUState state,
          size_t* size)

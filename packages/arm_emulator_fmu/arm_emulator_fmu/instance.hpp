@@ -151,7 +151,7 @@ class Instance {
       return report(kError, "communication step must end at %.17g s, the stop time, got %.17g s",
                     values_.stop, from + step);
     stepping_ = true;
-    const Status status = go(from, step);
+    const Status status = advance(from, step);
     stepping_ = false;
     const int ending = ending_.exchange(kGoesOn);
     if (ending == kTerminates) values_.mode = kTerminated;
@@ -239,7 +239,7 @@ class Instance {
     const double* value = values;
     for (std::size_t r = 0; r < count; ++r)
       for (int k = 0; k < kVariables[references[r]].count; ++k)
-        if (const char* rule = machine_.why_not(kVariables[references[r]], k, *value++)) {
+        if (const char* rule = machine_.find_obstacle(kVariables[references[r]], k, *value++)) {
           if (const char* joint = machine_.commanded(kVariables[references[r]], k))
             return report(kDiscard, "%s: command of %s must %s, got %g", call, joint, rule,
                           value[-1]);
@@ -278,19 +278,19 @@ class Instance {
   // Keep the state in `*state`, which is made if it is null.
   Status keep(void** state) {
     if (!state) return report(kError, "state must have a place, got none");
-    if (*state && !states_.knows(*state)) return unknown_state();
+    if (*state && !states_.is_known(*state)) return unknown_state();
     if (!*state) *state = states_.make();
     put_at_start();
-    unsigned char* bytes = states_.content_of(*state);
+    unsigned char* bytes = states_.find_content(*state);
     std::memcpy(bytes, &values_, sizeof values_);
     machine_.save(bytes + sizeof values_);
     states_.seal(*state, machine_.fingerprint());
     return kOk;
   }
-  Status go_back_to(void* state) {
+  Status restore_state(void* state) {
     if (stepping_) return busy();
-    if (!states_.knows(state)) return unknown_state();
-    const unsigned char* bytes = states_.content_of(state);
+    if (!states_.is_known(state)) return unknown_state();
+    const unsigned char* bytes = states_.find_content(state);
     if (!machine_.restore(bytes + sizeof values_)) return refused(kError);
     std::memcpy(&values_, bytes, sizeof values_);
     reported_ = truth_reported_ = false;
@@ -301,22 +301,22 @@ class Instance {
     return unknown_state();
   }
   Status write_state(void* state, void* bytes, std::size_t size) {
-    if (!states_.knows(state)) return unknown_state();
+    if (!states_.is_known(state)) return unknown_state();
     if (size != states_.size() || !bytes) return refuse_size(bytes ? size : 0);
-    std::memcpy(bytes, states_.bytes_of(state), size);
+    std::memcpy(bytes, states_.count_bytes(state), size);
     return kOk;
   }
   Status read_state(const void* bytes, std::size_t size, void** state) {
-    if (!state || (*state && !states_.knows(*state))) return unknown_state();
+    if (!state || (*state && !states_.is_known(*state))) return unknown_state();
     if (size != states_.size() || !bytes) return refuse_size(bytes ? size : 0);
-    if (const char* rule = states_.why_not(bytes, machine_.fingerprint()))
+    if (const char* rule = states_.find_obstacle(bytes, machine_.fingerprint()))
       return report(kError, "serialized state must %s", rule);
     if (!*state) *state = states_.make();
-    std::memcpy(states_.bytes_of(*state), bytes, size);
+    std::memcpy(states_.count_bytes(*state), bytes, size);
     return kOk;
   }
   Status size_of(void* state, std::size_t* size) {
-    if (!states_.knows(state)) return unknown_state();
+    if (!states_.is_known(state)) return unknown_state();
     if (!size) return report(kError, "size must have a place, got none");
     *size = states_.size();
     return kOk;
@@ -346,7 +346,7 @@ class Instance {
   Status busy() { return report(kError, "no call but gets and an end may come during a step"); }
 
   // Advance by `step` from one tick to the next, as far as they are due.
-  Status go(double from, double step) {
+  Status advance(double from, double step) {
     double goal = values_.since_tick + step, left = goal;  // s, from the last tick
     for (double done = 1.0;; ++done) {
       if (!values_.underway) begin_period();

@@ -19,7 +19,7 @@ class KeptStates {
     states_.push_back(std::make_unique<unsigned char[]>(size_));
     return states_.back().get();
   }
-  bool knows(const void* state) const {
+  bool is_known(const void* state) const {
     for (const auto& one : states_)
       if (one.get() == state) return true;
     return false;
@@ -31,18 +31,18 @@ class KeptStates {
     return true;
   }
 
-  static unsigned char* bytes_of(void* state) { return static_cast<unsigned char*>(state); }
-  static unsigned char* content_of(void* state) { return bytes_of(state) + kHead; }
+  static unsigned char* count_bytes(void* state) { return static_cast<unsigned char*>(state); }
+  static unsigned char* find_content(void* state) { return count_bytes(state) + kHead; }
   // Complete a state whose content is there.
   void seal(void* state, std::uint64_t fingerprint) const {
-    unsigned char* bytes = bytes_of(state);
+    unsigned char* bytes = count_bytes(state);
     std::memcpy(bytes, &kMagic, 8);
     std::memcpy(bytes + 8, &fingerprint, 8);
     const std::uint64_t sum = sum_of(bytes);
     std::memcpy(bytes + size_ - 8, &sum, 8);
   }
   // The rule that bytes of a serialized state break; null if they are sound.
-  const char* why_not(const void* serialized, std::uint64_t fingerprint) const {
+  const char* find_obstacle(const void* serialized, std::uint64_t fingerprint) const {
     const auto* const bytes = static_cast<const unsigned char*>(serialized);
     std::uint64_t magic, of, sum;
     std::memcpy(&magic, bytes, 8);

@@ -107,7 +107,7 @@ class Machine {
     return truth;
   }
   // Why a value is not taken; null if it is.
-  const char* why_not(const Variable& one, int k, double value) const {
+  const char* find_obstacle(const Variable& one, int k, double value) const {
     const int at = one.first + k;
     if (!arm::is_finite(value)) return "be finite";
     switch (one.rule) {

@@ -251,7 +251,7 @@ Outcome DrivenMachine::advance() {
 }
 
 // The command of a joint in the servo period to come of the controllers' period.
-void DrivenMachine::demand_now(std::size_t j) {
+void DrivenMachine::compute_demand(std::size_t j) {
   Demand& one = demands_[j];
   const servo_joint& joint = data_.joint[j];
   arm_joint_command& out = commands_[j];
@@ -289,7 +289,7 @@ void DrivenMachine::demand_now(std::size_t j) {
 
 const arm_command* DrivenMachine::answer(void* with, const tick_machine* at) {
   DrivenMachine& one = *static_cast<DrivenMachine*>(with);
-  for (std::size_t j = 0; j < one.demands_.size(); ++j) one.demand_now(j);
+  for (std::size_t j = 0; j < one.demands_.size(); ++j) one.compute_demand(j);
   ++one.period_;
   one.command_.tick = at->tick;
   return &one.command_;
@@ -298,10 +298,10 @@ const arm_command* DrivenMachine::answer(void* with, const tick_machine* at) {
 void DrivenMachine::take(void* with, const tick_machine*, int result) {
   DrivenMachine& one = *static_cast<DrivenMachine*>(with);
   one.observe();
-  one.outcome_ = std::max(one.outcome_, one.outcome_of(result));
+  one.outcome_ = std::max(one.outcome_, one.find_outcome(result));
 }
 
-Outcome DrivenMachine::outcome_of(int result) const {
+Outcome DrivenMachine::find_outcome(int result) const {
   if (result == ARM_DIVERGED) return Outcome::diverged;
   if (result != ARM_OK) return Outcome::refused;
   if (enabled_ && !measurement_.powered) return Outcome::no_power;

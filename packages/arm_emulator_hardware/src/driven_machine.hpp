@@ -116,10 +116,10 @@ class DrivenMachine {
   };
 
   std::vector<double> begin_with(const std::map<std::string, double>& varied) const;
-  void demand_now(std::size_t j);
+  void compute_demand(std::size_t j);
   static const arm_command* answer(void* with, const tick_machine* at);
   static void take(void* with, const tick_machine* at, int result);
-  Outcome outcome_of(int result) const;
+  Outcome find_outcome(int result) const;
   void observe();
   void read();
 

@@ -31,7 +31,7 @@ class Lockstep {
     if (!set_time()) return false;
     manager_->read(now_, period_);
     manager_->update(now_, period_);
-    if (manager_->now() != now_) return refuse_others();
+    if (manager_->now() != now_) return refuse_second_node();
     if (advance) manager_->write(now_, period_);
     return true;
   }
@@ -43,7 +43,7 @@ class Lockstep {
     for (int tries = 0; manager_->now() != now_; ++tries) {
       if (!rclcpp::ok()) return false;
       if (tries % kPatience == 0) {  // nobody may have listened yet
-        if (tries > 0 && manager_->count_publishers(kClock) > 1) return refuse_others();
+        if (tries > 0 && manager_->count_publishers(kClock) > 1) return refuse_second_node();
         publisher_->publish(message);
       }
       rclcpp::sleep_for(std::chrono::microseconds(20));
@@ -51,7 +51,7 @@ class Lockstep {
     return true;
   }
 
-  bool refuse_others() const {
+  bool refuse_second_node() const {
     if (!rclcpp::ok()) return false;
     RCLCPP_ERROR(manager_->get_logger(),
                  "%s: %s must be published by this process alone, got a time of another; valid: a "

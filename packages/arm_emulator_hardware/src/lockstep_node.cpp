@@ -23,7 +23,7 @@ using arm_emulator_hardware::Lockstep;
 using controller_manager::ControllerManager;
 
 // Why the parameters cannot be taken; empty: they can.
-std::string trouble(double factor, const std::string& start) {
+std::string describe_obstacle(double factor, const std::string& start) {
   if (!(factor == 0.0 || (factor >= 1e-6 && std::isfinite(factor)))) {
     std::ostringstream got;
     got << factor;
@@ -35,7 +35,7 @@ std::string trouble(double factor, const std::string& start) {
 }
 
 // Go through cycles until ROS is shut down; false: something has gone wrong.
-bool go(Lockstep& lockstep, double factor, const std::atomic<bool>& paused) {
+bool run_lockstep(Lockstep& lockstep, double factor, const std::atomic<bool>& paused) {
   auto next = std::chrono::steady_clock::now();
   for (bool stood = true; rclcpp::ok();) {
     if (paused || stood) {
@@ -67,7 +67,7 @@ int run(int argc, char** argv) {
   std::string start = "running";
   manager->get_parameter("real_time_factor", factor);
   manager->get_parameter("start", start);
-  const std::string why = trouble(factor, start);
+  const std::string why = describe_obstacle(factor, start);
   std::atomic<bool> paused = start == "paused";
   using Pause = std_srvs::srv::SetBool;
   const auto pause = manager->create_service<Pause>(
@@ -94,7 +94,7 @@ int run(int argc, char** argv) {
     Lockstep lockstep(manager);
     while (rclcpp::ok() && !manager->is_resource_manager_initialized())
       rclcpp::sleep_for(std::chrono::milliseconds(10));
-    sound = go(lockstep, factor, paused);
+    sound = run_lockstep(lockstep, factor, paused);
     rclcpp::shutdown();  // ends the spinner even before it begins, which `cancel` does not
     spinner.join();
     sound = sound && !failed;

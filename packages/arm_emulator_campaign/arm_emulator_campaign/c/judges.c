@@ -130,7 +130,7 @@ void judges_begin(judges* all, int32_t runs) {
   for (int32_t run = 0; run < runs; ++run) begin_run(&all[run]);
 }
 
-static int take_piece(judges* all, const judges_samples* piece) {
+static int add_samples_of_piece(judges* all, const judges_samples* piece) {
   for (int64_t from = 0; from < piece->count; from += FORMULA_BLOCK) {
     const int64_t left = piece->count - from;
     const int64_t count = left < FORMULA_BLOCK ? left : FORMULA_BLOCK;
@@ -151,9 +151,9 @@ static int take_piece(judges* all, const judges_samples* piece) {
   return 0;
 }
 
-int judges_take(judges* all, int32_t runs, const judges_samples* pieces) {
+int judges_add_samples(judges* all, int32_t runs, const judges_samples* pieces) {
   for (int32_t run = 0; run < runs; ++run)
-    if (take_piece(&all[run], &pieces[run])) return -1;
+    if (add_samples_of_piece(&all[run], &pieces[run])) return -1;
   return 0;
 }
 

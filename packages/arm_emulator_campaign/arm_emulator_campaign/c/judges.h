@@ -61,7 +61,7 @@ typedef struct judges {
 /* Begin several runs. */
 void judges_begin(judges* all, int32_t runs);
 /* Go on with a piece of each of several runs. Returns 0, or -1 without memory. */
-int judges_take(judges* all, int32_t runs, const judges_samples* pieces);
+int judges_add_samples(judges* all, int32_t runs, const judges_samples* pieces);
 /* Fill the robustness of each requirement and the value of each measure, a row for each run. */
 void judges_end(judges* all, int32_t runs, double* robustness, double* measures);
 

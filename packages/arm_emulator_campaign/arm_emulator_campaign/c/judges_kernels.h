@@ -24,7 +24,7 @@ typedef struct judge_begin_call {
 } judge_begin_call;
 
 /* Go on with a piece of each run. */
-typedef struct judge_take_call {
+typedef struct judge_add_samples_call {
   judges* all;
   const double* samples; /* of each run `stride` numbers for each of `sample_rows` */
   int64_t sample_rows;
@@ -35,7 +35,7 @@ typedef struct judge_take_call {
   const int64_t* first; /* place of each run's first target, and the end of all */
   int64_t joints;
   int32_t* failed; /* set to 1 if a requirement has no room for its trace */
-} judge_take_call;
+} judge_add_samples_call;
 
 typedef struct judge_end_call {
   judges* all;

@@ -44,7 +44,7 @@ ARM_KERNEL(judge_build) {
 
 ARM_KERNEL(judge_begin) { begin_run(&call.all[thread]); }
 
-ARM_KERNEL(judge_take) {
+ARM_KERNEL(judge_add_samples) {
   judges_samples piece = {};
   const std::int64_t target = call.first[thread];
   piece.count = call.counts[thread];
@@ -54,7 +54,7 @@ ARM_KERNEL(judge_take) {
   piece.targets = call.targets + target * call.joints;
   piece.target_count = call.first[thread + 1] - target;
   piece.joints = call.joints;
-  if (take_piece(&call.all[thread], &piece)) *call.failed = 1;
+  if (add_samples_of_piece(&call.all[thread], &piece)) *call.failed = 1;
 }
 
 ARM_KERNEL(judge_end) {

@@ -57,7 +57,7 @@ static int has_end(const node* one) { return one->what.end != ROBUSTNESS_FOREVER
 /* Whether it is asked for at one time alone, so that a window without end is a running value. */
 static int is_once(const node* one) { return one->first == one->last; }
 
-static segment nothing(int32_t kind) {
+static segment make_empty_segment(int32_t kind) {
   const segment none = {kind == ROBUSTNESS_EVENTUALLY ? -INFINITY : INFINITY, -INFINITY};
   return none;
 }
@@ -151,7 +151,7 @@ static void restart(robustness* all) {
     node* one = &all->nodes[k];
     one->out.begin = one->out.count = one->out.total = one->taken = 0;
     one->out.fed = NULL;
-    one->newest = nothing(one->what.kind);
+    one->newest = make_empty_segment(one->what.kind);
   }
 }
 
@@ -366,9 +366,9 @@ static segment stored_sample(const node* one, const stream* left, const stream* 
 }
 
 /* Values at each time from `first` on of a window that keeps all samples: from the end back. */
-static void fold_back(node* one, const stream* left, const stream* right, int64_t needed) {
+static void accumulate_back(node* one, const stream* left, const stream* right, int64_t needed) {
   const int64_t count = has_end(one) ? one->taken : paired(left, right);
-  segment later = nothing(one->what.kind);
+  segment later = make_empty_segment(one->what.kind);
   double* out = end_of(&one->out);
   for (int64_t i = (count > needed ? count : needed) - 1; i >= 0; --i) {
     if (i < count) later = joined(one->what.kind, stored_sample(one, left, right, i), later);
@@ -388,14 +388,14 @@ static int end_window(robustness* all, node* one, stream* left, stream* right) {
     *end_of(&one->out) = value_of(one->what.kind, one->newest);
     grow(&one->out, needed);
   } else if (!has_end(one) || one->taken < one->width) {
-    fold_back(one, left, right, needed);
+    accumulate_back(one, left, right, needed);
   } else {
-    while (one->out.total < needed) move(one, nothing(one->what.kind));
+    while (one->out.total < needed) move(one, make_empty_segment(one->what.kind));
   }
   return 0;
 }
 
-static int go_on(robustness* all, const double* const* rows, int64_t samples, int ends) {
+static int add_samples(robustness* all, const double* const* rows, int64_t samples, int ends) {
   for (int32_t k = 0; k < all->count; ++k) {
     node* one = &all->nodes[k];
     const int32_t kind = one->what.kind;
@@ -423,12 +423,12 @@ static int go_on(robustness* all, const double* const* rows, int64_t samples, in
 }
 
 int robustness_feed(robustness* all, const double* const* rows, int64_t samples) {
-  return go_on(all, rows, samples, 0);
+  return add_samples(all, rows, samples, 0);
 }
 
 double robustness_end(robustness* all) {
   const stream* root = &all->nodes[all->count - 1].out;
-  const int failed = go_on(all, NULL, 0, 1);
+  const int failed = add_samples(all, NULL, 0, 1);
   const double value = failed || root->count < 1 ? NAN : formula_margin(root->values[root->begin]);
   restart(all);
   return value;

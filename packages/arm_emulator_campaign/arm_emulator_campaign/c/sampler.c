@@ -34,14 +34,14 @@ static void keep(sampler* self, int32_t first, int32_t arms) {
     if (self->taken[arm] < self->room) ++self->taken[arm];
 }
 
-void sampler_take(void* with, const arm_machine* machine) {
+void sampler_record(void* with, const arm_machine* machine) {
   sampler* self = (sampler*)with;
   if (self->measure) self->measure(machine, self->measurement);
   self->get_truth(machine, self->truth);
   keep(self, 0, 1);
 }
 
-void sampler_take_group(void* with, int32_t first, int32_t arms) {
+void sampler_record_group(void* with, int32_t first, int32_t arms) {
   sampler* self = (sampler*)with;
   self->show(self->fleet, first, arms, NULL, 0, self->measurements, self->truths);
   keep(self, first, arms);

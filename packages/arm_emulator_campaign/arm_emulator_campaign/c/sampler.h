@@ -42,9 +42,9 @@ typedef struct sampler {
 } sampler;
 
 /* Keep a sample; a listener of arm_listen, `with` being the sampler. */
-void sampler_take(void* with, const arm_machine* machine);
+void sampler_record(void* with, const arm_machine* machine);
 /* The same for machines of a fleet, as a look of arm_fleet_way. */
-void sampler_take_group(void* with, int32_t first, int32_t arms);
+void sampler_record_group(void* with, int32_t first, int32_t arms);
 
 #ifdef __cplusplus
 }

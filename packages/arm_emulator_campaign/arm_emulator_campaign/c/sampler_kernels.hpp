@@ -5,7 +5,7 @@
 
 namespace {
 
-// As sampler_take_group, for a group of arms.
+// As sampler_record_group, for a group of arms.
 void sample_group(void* with, std::int32_t first, std::int32_t arms) {
   auto* self = static_cast<sampler*>(with);
   self->fleet->observe(first / arm_fleet::lanes, self->measurements, self->truths);
@@ -14,4 +14,4 @@ void sample_group(void* with, std::int32_t first, std::int32_t arms) {
 
 }  // namespace
 
-ARM_ADDRESS(sampler_look, sample_group)
+ARM_ADDRESS(sampler_observe, sample_group)

@@ -155,7 +155,7 @@ class DeviceProgram(Program):
         padded[: len(counts)] = counts
         self.device.write(self._memory["counts"], padded)
         self._launch_kernel(
-            "judge_take",
+            "judge_add_samples",
             samples=samples,
             sample_rows=samples.size // (8 * self._runs * self._room),
             stride=self._room,

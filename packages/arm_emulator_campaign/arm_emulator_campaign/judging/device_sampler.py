@@ -34,7 +34,7 @@ class DeviceSampler(FleetSampler):
         self._device, self._stays = fleet.core.device, stays
         self._copied: list[Memory] = []
         super().__init__(fleet, names, room)
-        self.look = "sampler_look"
+        self.look = "sampler_observe"
 
     def make_sampler(
         self, rows: Mapping[str, NDArray[Any]] | NDArray[np.void], **more: Any

@@ -200,7 +200,7 @@ class Program:
             pieces["targets"][:runs] = _get_addresses(targets.q, first[:-1])
             pieces["target_count"][:runs], pieces["joints"] = np.diff(first), targets.q.shape[1]
         pointers = JUDGES.make_pointer("judges_samples", pieces)
-        if self._calls.judges_take(self._structs, runs, pointers):
+        if self._calls.judges_add_samples(self._structs, runs, pointers):
             raise MemoryError("no memory for a requirement")
 
     def end_runs(self) -> tuple[Array, Array]:

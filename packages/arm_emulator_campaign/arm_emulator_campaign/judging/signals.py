@@ -176,8 +176,8 @@ class Sampler(Samples):
         """Take the first sample of a run, and one at each tick from now on."""
         self.forget_samples()
         plant = self._plant
-        self.calls.sampler_take(self._sampler, plant.machine)
-        plant.core.arm_listen(plant.machine, self.calls.sampler_take, self._sampler)
+        self.calls.sampler_record(self._sampler, plant.machine)
+        plant.core.arm_listen(plant.machine, self.calls.sampler_record, self._sampler)
 
     def end_sampling(self) -> None:
         """End sampling."""
@@ -224,4 +224,4 @@ class FleetSampler(Samples):
             measurements=self._measurement if self.measures else C_NULL,
             truths=self._truth,
         )
-        self.look: CData | str = self.calls.sampler_take_group
+        self.look: CData | str = self.calls.sampler_record_group

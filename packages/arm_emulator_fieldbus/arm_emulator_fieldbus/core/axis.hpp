@@ -64,7 +64,7 @@ struct Axis {
   }
   double counts() const { return static_cast<double>(measured.counts); }
   // Whether a bit of the controlword was set in this period.
-  bool rises(std::uint16_t bit) const { return (word & bit) && !(word_before & bit); }
+  bool has_risen(std::uint16_t bit) const { return (word & bit) && !(word_before & bit); }
 
   // ------------------------------------------------------------------------------------ limits
 
@@ -102,13 +102,13 @@ struct Axis {
                                                        : std::numeric_limits<std::int64_t>::max();
   }
   // A position of the dictionary within the software limits, as one inside.
-  double inside(std::int64_t position) {
+  double clamp_position(std::int64_t position) {
     const std::int64_t low = least_position(), high = most_position();
     const std::int64_t within = position < low ? low : position > high ? high : position;
     demand.position_cut = within != position;
     return static_cast<double>(within + shift);
   }
-  double within_speed(std::int64_t asked, double most) {
+  double clamp_speed(std::int64_t asked, double most) {
     const double speed = static_cast<double>(asked);
     const double within = speed > most ? most : speed < -most ? -most : speed;
     demand.speed_cut = demand.speed_cut || within != speed;
@@ -134,7 +134,7 @@ struct Axis {
     const std::int64_t offset = values.get<0x607C>();
     shift = home_to_zero ? home + offset : home - offset;
   }
-  bool lasts(double time, std::int64_t ms) const {
+  bool has_lasted(double time, std::int64_t ms) const {
     return time + 0.5 * dt >= 1e-3 * static_cast<double>(ms);
   }
 
@@ -161,7 +161,7 @@ struct Axis {
     demand.torque = measured.torque;
     demand.loop = Loop::torque;
   }
-  void stand() {
+  void hold_standstill() {
     if (demand.loop != Loop::position) demand.position = counts();
     demand.loop = Loop::position;
     demand.speed = 0.0;

@@ -91,7 +91,7 @@ class StateMachine {
   // Start up: transitions 0 and 1.
   void begin() {
     *this = StateMachine{};
-    go(1, State::switch_on_disabled);
+    change_state(1, State::switch_on_disabled);
   }
 
   // Take a controlword, once per period. `voltage`: whether the supply is there; `released`:
@@ -109,84 +109,84 @@ class StateMachine {
       case State::fault:
         if (reset && !cause) {
           error_ = 0;
-          go(15, State::switch_on_disabled);
+          change_state(15, State::switch_on_disabled);
         }
         return;
       case State::switch_on_disabled:
-        if (command == Command::shutdown) go(2, State::ready);
+        if (command == Command::shutdown) change_state(2, State::ready);
         return;
       case State::ready:
         if (command == Command::disable_voltage || command == Command::quick_stop)
-          go(7, State::switch_on_disabled);
+          change_state(7, State::switch_on_disabled);
         else if (command != Command::shutdown && voltage)
-          go(3, State::switched_on);
+          change_state(3, State::switched_on);
         return;
       case State::switched_on:
         if (command == Command::disable_voltage || command == Command::quick_stop)
-          go(10, State::switch_on_disabled);
+          change_state(10, State::switch_on_disabled);
         else if (command == Command::shutdown || !voltage)
-          go(6, State::ready);
+          change_state(6, State::ready);
         else if (command == Command::enable_operation && released)
-          go(4, State::operation_enabled);
+          change_state(4, State::operation_enabled);
         else if (command == Command::enable_operation)
           opening_ = true;
         return;
       case State::operation_enabled:
-        operate(command, options);
+        apply_command(command, options);
         return;
       case State::quick_stop:
         if (command == Command::disable_voltage)
-          go(12, State::switch_on_disabled);
+          change_state(12, State::switch_on_disabled);
         else if (command == Command::enable_operation && options.quick_stop >= 5)
-          go(16, State::operation_enabled);
+          change_state(16, State::operation_enabled);
         return;
     }
   }
 
   // The motor stands after a stop.
-  void stands(const StopOptions& options) {
+  void finish_stop(const StopOptions& options) {
     if (stop_ == Stop::none) return;
     if (state_ == State::fault_reaction)
-      go(14, State::fault);
+      change_state(14, State::fault);
     else if (state_ == State::quick_stop && options.quick_stop < 5)
-      go(12, State::switch_on_disabled);
+      change_state(12, State::switch_on_disabled);
     else if (state_ == State::operation_enabled)
-      go(leaving_, leaving_ == 8 ? State::ready : State::switched_on);
+      change_state(leaving_, leaving_ == 8 ? State::ready : State::switched_on);
   }
 
   // A fault occurred. `can_stop`: whether the motor can still be slowed down.
   void fail(std::uint16_t error, const StopOptions& options, bool can_stop) {
     if (state_ == State::fault || state_ == State::fault_reaction) {
-      if (!can_stop && state_ == State::fault_reaction) go(14, State::fault);
+      if (!can_stop && state_ == State::fault_reaction) change_state(14, State::fault);
       return;
     }
     error_ = error;
     const bool moves = state_ == State::operation_enabled || state_ == State::quick_stop;
-    go(13, State::fault_reaction);
+    change_state(13, State::fault_reaction);
     const auto way = static_cast<Stop>(options.fault);
     if (moves && can_stop && options.fault > 0)
       stop_ = way;
     else
-      go(14, State::fault);
+      change_state(14, State::fault);
   }
 
   // The master is lost; 0x6007 states the reaction. A drive whose motor is not controlled returns
   // to Switch on disabled.
-  void lose_master(std::int64_t reaction, std::uint16_t error, const StopOptions& options,
-                   bool can_stop) {
+  void handle_master_loss(std::int64_t reaction, std::uint16_t error, const StopOptions& options,
+                          bool can_stop) {
     constexpr std::int64_t fault = 1, disable = 2;
     opening_ = false;
     const bool moves = state_ == State::operation_enabled || state_ == State::quick_stop;
     if (state_ == State::ready)
-      go(7, State::switch_on_disabled);
+      change_state(7, State::switch_on_disabled);
     else if (state_ == State::switched_on)
-      go(10, State::switch_on_disabled);
+      change_state(10, State::switch_on_disabled);
     else if (moves && reaction == fault)
       fail(error, options, can_stop);
     else if (state_ == State::quick_stop && reaction == disable)
-      go(12, State::switch_on_disabled);
+      change_state(12, State::switch_on_disabled);
     else if (state_ == State::operation_enabled)
-      operate(reaction == disable ? Command::disable_voltage : Command::quick_stop, options);
+      apply_command(reaction == disable ? Command::disable_voltage : Command::quick_stop, options);
   }
 
   // Bits 0 to 3, 5 and 6 of the statusword.
@@ -208,7 +208,7 @@ class StateMachine {
 
  private:
   // The number of the transition is for the reader.
-  void go(int /*transition*/, State state) {
+  void change_state(int /*transition*/, State state) {
     state_ = state;
     stop_ = Stop::none;
     leaving_ = 0;
@@ -216,13 +216,13 @@ class StateMachine {
   }
   void leave(int transition, State state, std::int16_t option) {
     if (option == 0) {
-      go(transition, state);
+      change_state(transition, state);
     } else {  // once the motor stands
       stop_ = Stop::profile_ramp;
       leaving_ = transition;
     }
   }
-  void operate(Command command, const StopOptions& options) {
+  void apply_command(Command command, const StopOptions& options) {
     switch (command) {
       case Command::enable_operation:
         stop_ = Stop::none;
@@ -235,12 +235,12 @@ class StateMachine {
         if (leaving_ != 8) leave(8, State::ready, options.shutdown);
         return;
       case Command::disable_voltage:
-        go(9, State::switch_on_disabled);
+        change_state(9, State::switch_on_disabled);
         return;
       case Command::quick_stop:
-        go(11, State::quick_stop);
+        change_state(11, State::quick_stop);
         if (options.quick_stop == 0) {
-          go(12, State::switch_on_disabled);
+          change_state(12, State::switch_on_disabled);
         } else {
           const int way = options.quick_stop < 5 ? options.quick_stop : options.quick_stop - 4;
           stop_ = way < 3 ? static_cast<Stop>(way) : Stop::torque_limit;

@@ -17,12 +17,12 @@ class DeclaredValues {
       for (int unit = 0; unit < DRIVES_UNITS; ++unit, ++row)
         for (int axis = 0; axis < (one.per_unit ? kAxes : 1) && *row >= 0; ++axis) {
           const int sub = one.per_unit ? 1 + kAxes * unit + axis : 0;
-          const int slot = slot_of(one.index, static_cast<std::uint8_t>(sub));
+          const int slot = find_slot(one.index, static_cast<std::uint8_t>(sub));
           reported_.push_back({slot, one.value, {joints, joint, *row, axis}});
         }
     row = machine.input + joint * machine.inputs;
     for (const Taken& one : kTaken)
-      taken_.push_back({slot_of(one.index, 0), *row * joints + joint, *row++ >= 0});
+      taken_.push_back({find_slot(one.index, 0), *row * joints + joint, *row++ >= 0});
   }
 
   void publish(Values& values) const {

@@ -119,14 +119,14 @@ class Drive {
     const std::int64_t reaction = get<0x6007>();
     if (!reaction) return;
     const State before = machine_.state();
-    machine_.lose_master(reaction, error, options(), axis_.measured.powered);
+    machine_.handle_master_loss(reaction, error, options(), axis_.measured.powered);
     note_failure(before);
     axis_.values.set<0x6040>(0);
     lost_ = true;
     publish();
   }
   // The machine has diverged, and keeps its state.
-  void diverged() {
+  void handle_divergence() {
     axis_.measured.diverged = true;
     fail(error_code::software, false);
   }
@@ -142,11 +142,11 @@ class Drive {
       machine_.take(axis_.word, options(), now.powered, !now.brake, now.diverged || now.hot);
     closing_ = closing_ && !now.brake && now.powered && !machine_.controls();
     choose_mode();
-    if (!machine_.controls() && !closing_) return let_go();
+    if (!machine_.controls() && !closing_) return release_motor();
     if (!controlled_) hold();
     controlled_ = true;
     const double command = move();
-    if (!machine_.controls() && !closing_) return let_go();  // a stop has come to its end
+    if (!machine_.controls() && !closing_) return release_motor();  // a stop has come to its end
     const bool close = closing_ || closed_by_output();
     const std::uint32_t enable = ARM_ENABLED | (close ? std::uint32_t{ARM_CLOSE_BRAKE} : 0U);
     return {axis_.joint.mode, enable, command};
@@ -200,7 +200,7 @@ class Drive {
         break;
       case 0x60B8:
         for (int k = 0; k < 2; ++k)
-          if (!TouchProbe::known(function_of_probe(value, k), axis_.joint.index != 0))
+          if (!TouchProbe::known(select_probe_function(value, k), axis_.joint.index != 0))
             return abort_code::out_of_range;
         break;
       case 0x60C2:
@@ -233,7 +233,7 @@ class Drive {
     if (controlled_) mode_->take_over(axis_);
   }
   // The command is 0; the brake closes.
-  arm_joint_command let_go() {
+  arm_joint_command release_motor() {
     hold();
     controlled_ = false;
     loops_.release();
@@ -257,9 +257,9 @@ class Drive {
     } else if (halts) {
       slow_down(static_cast<Stop>(get<0x605D>()), true);
     } else {
-      if (stopping_.halted()) mode_->go_on(axis_, stopping_.by_halt());
+      if (stopping_.halted()) mode_->resume(axis_, stopping_.by_halt());
       stopping_.end();
-      operates ? mode_->run(axis_) : axis_.stand();
+      operates ? mode_->run(axis_) : axis_.hold_standstill();
     }
     Offsets offsets;
     if (machine_.state() == State::operation_enabled) offsets = mode_->offsets(axis_);
@@ -272,11 +272,11 @@ class Drive {
       axis_.demand.loop = Loop::speed;
     }
     stopping_.begin(by_halt);
-    if (by_halt && mode_.about().halts_in_torque) return stopping_.fade(axis_);
+    if (by_halt && mode_.about().halts_in_torque) return stopping_.reduce_torque(axis_);
     stopping_.slow_down(axis_, way);
     if (!stopping_.stands() || by_halt) return;
     const State before = machine_.state();
-    machine_.stands(options());
+    machine_.finish_stop(options());
     const bool left = machine_.state() != before;
     // The motor is held until its brake has closed.
     closing_ = left && !machine_.controls() && brakes();
@@ -327,12 +327,12 @@ class Drive {
     if (off_for_.time > 1e-3 * axis_.number<0x6066>() + 0.5 * axis_.dt)
       fail(error_code::following_error, true);
   }
-  static unsigned function_of_probe(std::int64_t both, int probe) {
+  static unsigned select_probe_function(std::int64_t both, int probe) {
     return static_cast<unsigned>(both >> (8 * probe)) & 0xffU;
   }
   void look_at_probes() {
     for (int k = 0; k < 2; ++k) {
-      if (!probe_[k].look(function_of_probe(get<0x60B8>(), k), axis_.measured.pulses)) continue;
+      if (!probe_[k].look(select_probe_function(get<0x60B8>(), k), axis_.measured.pulses)) continue;
       const std::int64_t at = word_of(axis_.measured.index - axis_.shift);
       if (k)
         axis_.values.set<0x60BC>(at);

@@ -27,7 +27,7 @@ inline void set_interpolation_time(Values& of, std::int64_t period) {
 }
 
 // The smallest power of ten in whose unit a value is not above the largest.
-inline std::int64_t unit_within(double value, double largest) {
+inline std::int64_t choose_unit(double value, double largest) {
   std::int64_t unit = 1;
   while (value / static_cast<double>(unit) > largest) unit *= 10;
   return unit;
@@ -51,8 +51,8 @@ inline void set_defaults(Axis& axis, int number) {
     return nearest < 1 ? std::int64_t{1} : nearest;
   };
   const double window = 0.01 * fastest, hardest = 8.0 * fastest;
-  const std::int64_t of_windows = unit_within(window, 65535.0);
-  const std::int64_t of_accelerations = unit_within(hardest, 4294967295.0);
+  const std::int64_t of_windows = choose_unit(window, 65535.0);
+  const std::int64_t of_accelerations = choose_unit(hardest, 4294967295.0);
   const auto acceleration = [&](double value) {
     const auto in_unit = to_integer(value / static_cast<double>(of_accelerations), 32, false);
     return in_unit < 1 ? std::int64_t{1} : in_unit;

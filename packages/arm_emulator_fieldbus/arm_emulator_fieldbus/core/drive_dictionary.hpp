@@ -65,7 +65,7 @@ class DriveDictionary {
 
   // Present number of sub-indices of an object: the value of sub 0, which masters set for mappings
   // and assignments.
-  std::size_t subs(std::span<const Entry> entries) const {
+  std::size_t count_subindices(std::span<const Entry> entries) const {
     return std::min<std::size_t>(drive_.values().number(entries[0].index, 0), entries.size() - 1);
   }
 
@@ -74,7 +74,7 @@ class DriveDictionary {
     if (entries.empty()) return abort_code::no_object;
     if (from > 1) return abort_code::unsupported;
     if (entries.size() == 1) return from == 0 ? read_sub(index, 0, out) : abort_code::no_sub;
-    const std::size_t count = subs(entries);
+    const std::size_t count = count_subindices(entries);
     if (from == 0) {
       out.push_back(static_cast<std::uint8_t>(count));
       out.push_back(0);  // sub 0 takes 16 bits

@@ -52,7 +52,7 @@ struct drives {
     const arm_joint_sensors* sensors = at->measurement->sensors;
     const bool powered = at->measurement->powered != 0;
     for (fieldbus::Drive& drive : static_cast<drives*>(with)->one) {
-      if (result != ARM_OK) drive.diverged();
+      if (result != ARM_OK) drive.handle_divergence();
       drive.end_period(*joint++, *sensors++, powered);
     }
   }

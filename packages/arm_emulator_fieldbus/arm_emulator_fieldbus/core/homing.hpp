@@ -22,7 +22,7 @@ class Homing {
     return one == 0 || here || (by_index && index) ||
            (one < 0 && one >= -4 && stops && (one < -2 || index));
   }
-  static bool by_stop(std::int64_t one) { return one < 0; }
+  static bool is_by_stop(std::int64_t one) { return one < 0; }
 
   enum class Phase { idle, to_stop, to_index, slowing, attained, failed };
   Phase phase() const { return phase_; }
@@ -38,7 +38,7 @@ class Homing {
     if (one == 0)
       phase_ = Phase::failed;
     else if (one == 35 || one == 37)
-      attain(position);
+      finish_homing(position);
     else
       phase_ = one < 0 ? Phase::to_stop : Phase::to_index;
   }
@@ -97,7 +97,7 @@ class Homing {
   static constexpr std::int64_t kRevolutions = 3;
   static constexpr std::int64_t kFarthest = std::int64_t{1} << 31;
 
-  void attain(std::int64_t position) {
+  void finish_homing(std::int64_t position) {
     home_ = position;
     new_home_ = true;
     phase_ = Phase::attained;

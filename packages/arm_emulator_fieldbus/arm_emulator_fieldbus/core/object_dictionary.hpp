@@ -331,7 +331,7 @@ constexpr Table make_table() {
 
 inline constexpr Table kTable = make_table();
 
-constexpr bool ascends() {
+constexpr bool is_ascending() {
   for (int k = 1; k < kTable.size; ++k) {
     const Entry &one = kTable.entry[k - 1], &next = kTable.entry[k];
     if (one.index > next.index || (one.index == next.index && one.sub + 1 != next.sub))
@@ -339,7 +339,7 @@ constexpr bool ascends() {
   }
   return kTable.size <= kCapacity;
 }
-static_assert(ascends(), "entries stand in the order of their indices, subs without a gap");
+static_assert(is_ascending(), "entries stand in the order of their indices, subs without a gap");
 
 }  // namespace dictionary
 
@@ -349,7 +349,7 @@ inline constexpr std::span<const Entry> kEntries{dictionary::kTable.entry,
 inline constexpr int kSlots = dictionary::kTable.size;
 
 // The first slot whose (index, sub) is not below these.
-constexpr int slot_from(std::uint16_t index, std::uint8_t sub) {
+constexpr int find_slot_from(std::uint16_t index, std::uint8_t sub) {
   int low = 0, high = kSlots;
   while (low < high) {
     const int middle = (low + high) / 2;
@@ -363,8 +363,8 @@ constexpr int slot_from(std::uint16_t index, std::uint8_t sub) {
   return low;
 }
 // The slot of an entry; -1: not in the dictionary.
-constexpr int slot_of(std::uint16_t index, std::uint8_t sub) {
-  const int slot = slot_from(index, sub);
+constexpr int find_slot(std::uint16_t index, std::uint8_t sub) {
+  const int slot = find_slot_from(index, sub);
   if (slot == kSlots) return -1;
   const Entry& one = kEntries[static_cast<std::size_t>(slot)];
   return one.index == index && one.sub == sub ? slot : -1;
@@ -372,8 +372,8 @@ constexpr int slot_of(std::uint16_t index, std::uint8_t sub) {
 // The same for an entry that is known to be there when this is compiled.
 template <std::uint16_t index, std::uint8_t sub = 0>
 inline constexpr int kSlot = [] {
-  static_assert(slot_of(index, sub) >= 0, "the dictionary has this entry");
-  return slot_of(index, sub);
+  static_assert(find_slot(index, sub) >= 0, "the dictionary has this entry");
+  return find_slot(index, sub);
 }();
 
 }  // namespace fieldbus

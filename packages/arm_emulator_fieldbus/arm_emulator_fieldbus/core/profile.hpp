@@ -53,7 +53,7 @@ class Trapezoid {
     add(x, sign * peak, peak / d, -sign * d);
   }
   // Hold a position.
-  void stand(double position) {
+  void hold_standstill(double position) {
     count_ = 0;
     time_ = 0.0;
     target_ = position;

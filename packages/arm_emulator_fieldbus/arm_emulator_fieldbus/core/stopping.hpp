@@ -20,7 +20,7 @@ class Stopping {
   }
 
   // A period of it. The torque decreases to 0; the motor coasts.
-  void fade(Axis& axis) {
+  void reduce_torque(Axis& axis) {
     const double slope = axis.torque_slope();
     axis.demand.torque = ramp(axis.demand.torque, 0.0, slope, slope, axis.dt);
     stands_ = axis.demand.torque == 0.0 && is_slow(axis);
@@ -38,7 +38,7 @@ class Stopping {
       demand.speed = ramp(demand.speed, 0.0, d, d, axis.dt);
       if (demand.loop == Loop::position) demand.position += 0.5 * (before + demand.speed) * axis.dt;
     }
-    settle(axis);
+    finish_stopping(axis);
   }
 
  private:
@@ -47,7 +47,7 @@ class Stopping {
   static bool is_slow(const Axis& axis) {
     return std::fabs(axis.measured.speed) <= axis.velocity_threshold();
   }
-  void settle(Axis& axis) {
+  void finish_stopping(Axis& axis) {
     const bool at_end = axis.demand.speed == 0.0;
     stuck_.look(at_end, axis.dt);
     stands_ = at_end && (is_slow(axis) || stuck_.time > kLongest);

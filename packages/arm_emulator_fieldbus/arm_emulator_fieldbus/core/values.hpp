@@ -39,7 +39,7 @@ class Values {
   static const Entry& entry(int slot) { return kEntries[static_cast<std::size_t>(slot)]; }
   // Slot of an entry that is there on this bus; -1.
   int find(std::uint16_t index, std::uint8_t sub) const {
-    const int slot = slot_of(index, sub);
+    const int slot = find_slot(index, sub);
     return slot >= 0 && entry(slot).on(bus_) ? slot : -1;
   }
 
@@ -192,13 +192,13 @@ class Values {
   int longest_pdo() const { return bus_ == Bus::canopen ? 8 : kLongestPdo; }
   std::uint32_t check_communication(const Entry& one, std::int64_t value, std::int64_t now) const {
     if (!canopen::is_mapping(one.index)) return canopen::check(one, value, now);
-    const int pdo = slot_of(static_cast<std::uint16_t>(one.index - 0x200), 1);
+    const int pdo = find_slot(static_cast<std::uint16_t>(one.index - 0x200), 1);
     const bool used = mapping_locked && !(value_[pdo] & canopen::kInvalid);
     return used ? abort_code::state : abort_code::none;
   }
   std::uint32_t check_mapping(const Entry& one, std::int64_t value, Pdo way) const {
     if (mapping_locked && bus_ == Bus::ethercat) return abort_code::state;
-    const int first = slot_of(one.index, 0);
+    const int first = find_slot(one.index, 0);
     if (one.sub) {
       if (value_[first])
         return bus_ == Bus::ethercat ? abort_code::sub0_not_zero : abort_code::state;
@@ -214,7 +214,7 @@ class Values {
   }
   std::uint32_t check_assignment(const Entry& one, std::int64_t value) const {
     if (mapping_locked) return abort_code::state;
-    const int first = slot_of(one.index, 0);
+    const int first = find_slot(one.index, 0);
     const std::int64_t least = one.index == 0x1C12 ? 0x1600 : 0x1A00;
     const auto is_pdo = [&](std::int64_t pdo) {
       return pdo >= least && pdo < least + dictionary::kMappings;
@@ -232,7 +232,7 @@ class Values {
   }
 
   void map(std::uint16_t pdo, std::initializer_list<std::uint32_t> words) {
-    const int first = slot_of(pdo, 0);
+    const int first = find_slot(pdo, 0);
     int count = 0;
     for (const std::uint32_t word : words) value_[first + ++count] = word;
     value_[first] = count;

@@ -15,13 +15,14 @@ class Adc {
   Adc(const mcu_adc& description, Registers& registers)
       : description_(description), registers_(registers) {
     if (!description.status) return;
-    registers.on_write(description.status, [this](uint32_t value, uint32_t stored) {
+    registers.set_write_handler(description.status, [this](uint32_t value, uint32_t stored) {
       const uint32_t flag = 1u << description_.flag;
       const bool keeps = description_.clear_by_one ? !(value & flag) : value & flag;
       return (value & ~flag) | (keeps ? stored & flag : 0);
     });
     if (description.control)
-      registers.on_write(description.control, [](uint32_t value, uint32_t) { return value; });
+      registers.set_write_handler(description.control,
+                                  [](uint32_t value, uint32_t) { return value; });
   }
 
   void add(const mcu_channel& channel) { channels_.push_back(channel); }

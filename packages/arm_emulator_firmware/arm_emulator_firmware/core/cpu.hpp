@@ -68,11 +68,11 @@ class Cpu {
     if (!open_) return;
     uc_ctl_set_cpu_model(uc_, UC_CPU_ARM_CORTEX_M4);
     uc_ctl_tlb_mode(uc_, UC_TLB_VIRTUAL);
-    hook(UC_HOOK_TLB_FILL, reinterpret_cast<void*>(first_access));
+    add_hook(UC_HOOK_TLB_FILL, reinterpret_cast<void*>(first_access));
     uc_ctl_exits_enable(uc_);  // no exit addresses: each would end blocks, too
-    hook(UC_HOOK_BLOCK, reinterpret_cast<void*>(block_begins));
-    hook(UC_HOOK_INTR, reinterpret_cast<void*>(interrupted));
-    hook(UC_HOOK_INSN_INVALID, reinterpret_cast<void*>(no_instruction));
+    add_hook(UC_HOOK_BLOCK, reinterpret_cast<void*>(block_begins));
+    add_hook(UC_HOOK_INTR, reinterpret_cast<void*>(handle_interrupt));
+    add_hook(UC_HOOK_INSN_INVALID, reinterpret_cast<void*>(handle_invalid_instruction));
   }
   Cpu(const Cpu&) = delete;
   Cpu& operator=(const Cpu&) = delete;
@@ -102,7 +102,8 @@ class Cpu {
     std::sort(edges.begin(), edges.end());
     for (size_t k = 0; k < edges.size(); k += 2)
       if (edges[k] < edges[k + 1])
-        hook(UC_HOOK_MEM_INVALID, reinterpret_cast<void*>(no_memory), edges[k], edges[k + 1] - 1);
+        add_hook(UC_HOOK_MEM_INVALID, reinterpret_cast<void*>(handle_unmapped_access), edges[k],
+                 edges[k + 1] - 1);
     return true;
   }
   bool map_bus(uint32_t at, uint32_t size) {
@@ -126,17 +127,19 @@ class Cpu {
   // When the instruction that runs now, and accesses a register `at`, began. `now` is the end of
   // its block. Where in it the instruction stands is known from the second time on that the block
   // asks; the first time it is looked for.
-  Time instant(uint32_t at) {
+  Time time_of_instruction(uint32_t at) {
     if (!block_) return now;
     if (!exact_.count(block_->at)) {
       asks_ = {block_->at, block_->size};
-      attend();
-      at_ = accessing(at);
+      stop_soon();
+      at_ = find_access(at);
     }
     return now - block_->cost + count_to(at_) * cost_;
   }
   // When the next instruction begins, for a debugger.
-  Time instant() const { return block_ ? now - block_->cost + count_to(pc) * cost_ : now; }
+  Time time_of_instruction() const {
+    return block_ ? now - block_->cost + count_to(pc) * cost_ : now;
+  }
 
   // Run until something stops it; `deadline` lets it stop between blocks.
   Stop run(Time deadline) {
@@ -165,7 +168,7 @@ class Cpu {
 
   // Between blocks, before the first reset or after it. `other_code`: memory has another than
   // before.
-  void remembered(Checkpoint& list, bool other_code) {
+  void visit_state(Checkpoint& list, bool other_code) {
     list(now, instructions, awake_until, masked_wait, pc, fault, asks_, at_, until_, deadline_);
     list(waited_, stop_, inside_until_);
     std::map<uint32_t, uint32_t> watched;  // sizes of blocks
@@ -174,7 +177,7 @@ class Cpu {
     if (!list.reads()) uc_context_save(uc_, saved());
     list.bytes(saved(), uc_context_size(uc_));
     if (!list.reads()) return;
-    watch_these(std::move(watched));
+    set_watched(std::move(watched));
     uc_context_restore(uc_, saved_);
     refresh();
     block_ = nullptr;
@@ -187,7 +190,7 @@ class Cpu {
   bool inside() const { return inside_until_ != 0; }
   // Whether the block at which it stands has a stop.
   bool stop_near() const { return stop_near_; }
-  bool stop_here() const { return std::binary_search(stops.begin(), stops.end(), pc); }
+  bool is_stop_here() const { return std::binary_search(stops.begin(), stops.end(), pc); }
 
   // Continue at another address, as a debugger requests.
   void jump(uint32_t to) {
@@ -211,10 +214,10 @@ class Cpu {
   }
 
   // A debugger has changed what lets exceptions in, or which stack is used.
-  void masks_changed() {
+  void handle_mask_change() {
     refresh();
     masked_wait = false;
-    attend();
+    stop_soon();
   }
   // Set N, Z, C, V and Q; what else xPSR holds is the processor's own.
   void set_flags(uint32_t xpsr) {
@@ -248,7 +251,7 @@ class Cpu {
     Time cost = 0;
   };
 
-  uc_hook hook(int kind, void* call, uint64_t from = 1, uint64_t to = 0) {
+  uc_hook add_hook(int kind, void* call, uint64_t from = 1, uint64_t to = 0) {
     uc_hook handle = 0;
     uc_hook_add(uc_, &handle, kind, call, this, from, to);
     return handle;
@@ -271,7 +274,7 @@ class Cpu {
         stop_ = Stop::fault;
         if (!fault.what) fault.what = uc_strerror(error);
       } else {
-        stop_ = !count || sleeps(from) ? Stop::sleep : Stop::stepped;
+        stop_ = !count || is_wfi_at(from) ? Stop::sleep : Stop::stepped;
       }
     }
     if (stop_ != Stop::stepped) block_ = nullptr;
@@ -279,7 +282,7 @@ class Cpu {
   }
 
   // Whether an instruction is WFI.
-  bool sleeps(uint32_t at) const {
+  bool is_wfi_at(uint32_t at) const {
     uint16_t code[2] = {};
     if (!memory_.read(at, code, 2)) return false;
     memory_.read(at, code, 4);
@@ -300,7 +303,7 @@ class Cpu {
     if (now >= until_) [[unlikely]] {
       if (!may_begin(at, size)) return;
     }
-    const Block& block = known(at, size);
+    const Block& block = find_block(at, size);
     instructions += block.count;
     now += block.cost;
     block_ = &block;
@@ -314,13 +317,13 @@ class Cpu {
   }
   void watch(uint32_t at, uint32_t size) {
     const uint64_t end = static_cast<uint64_t>(at) + size;
-    void* call = reinterpret_cast<void*>(instruction_begins);
-    exact_[at] = {size, hook(UC_HOOK_CODE, call, at, end - 1)};
+    void* call = reinterpret_cast<void*>(handle_instruction);
+    exact_[at] = {size, add_hook(UC_HOOK_CODE, call, at, end - 1)};
     uc_ctl_remove_cache(uc_, static_cast<uint64_t>(at), end);
   }
   // Watch the blocks that were watched then, and no others: the first time a block asks for the
   // time it is looked for.
-  void watch_these(std::map<uint32_t, uint32_t> then) {
+  void set_watched(std::map<uint32_t, uint32_t> then) {
     for (auto one = exact_.begin(); one != exact_.end();) {
       const auto [at, watched] = *one++;
       if (const auto found = then.find(at); found != then.end() && found->second == watched.size) {
@@ -333,13 +336,13 @@ class Cpu {
     }
     for (const auto& [at, size] : then) watch(at, size);
   }
-  static void instruction_begins(uc_engine*, uint64_t address, uint32_t, void* self) {
+  static void handle_instruction(uc_engine*, uint64_t address, uint32_t, void* self) {
     static_cast<Cpu*>(self)->at_ = static_cast<uint32_t>(address);
   }
   // Number of instructions of the block before an address.
   Time count_to(uint32_t at) const {
     Time count = 0;
-    each_instruction([&](uint32_t one, const uint16_t*) {
+    for_each_instruction([&](uint32_t one, const uint16_t*) {
       if (one >= at) return false;
       ++count;
       return true;
@@ -348,12 +351,12 @@ class Cpu {
   }
   // The next instruction of the block, from the last one that accessed a register, that may access
   // this one: base and offset are right. The next of all, if none is.
-  uint32_t accessing(uint32_t at) const {
+  uint32_t find_access(uint32_t at) const {
     uint32_t found = 0, next = 0;
-    each_instruction([&](uint32_t one, const uint16_t* code) {
+    for_each_instruction([&](uint32_t one, const uint16_t* code) {
       if (one <= at_ && at_ != NOWHERE) return true;
       if (!next) next = one;
-      if (const auto [base, offset] = thumb::access_of(code); base && get(base) + offset == at)
+      if (const auto [base, offset] = thumb::decode_access(code); base && get(base) + offset == at)
         found = one;
       return !found;
     });
@@ -361,7 +364,7 @@ class Cpu {
   }
   // body(address, its halfwords) for the instructions of the block, while it returns true.
   template <class Body>
-  void each_instruction(Body&& body) const {
+  void for_each_instruction(Body&& body) const {
     const uint8_t* code = memory_.find(block_->at, block_->size);
     for (uint32_t k = 0; code && k + 1 < block_->size; k += thumb::length(code + k)) {
       uint16_t halves[2] = {};
@@ -380,11 +383,11 @@ class Cpu {
         return false;
       }
       begun_ = true;
-      inside_until_ = at + known(at, size).size;
+      inside_until_ = at + find_block(at, size).size;
       return true;
     }
     const auto stop = std::lower_bound(stops.begin(), stops.end(), at);
-    stop_near_ = stop != stops.end() && *stop < at + known(at, size).size;
+    stop_near_ = stop != stops.end() && *stop < at + find_block(at, size).size;
     if (stop_near_ || now >= deadline_ || instructions >= awake_until ||
         (masked_wait && !still_masked())) {
       pc = at;
@@ -400,7 +403,7 @@ class Cpu {
            masks.faultmask == waited_.faultmask;
   }
 
-  const Block& known(uint32_t at, uint32_t size) {
+  const Block& find_block(uint32_t at, uint32_t size) {
     Block& block = blocks_[(at >> 1) % blocks_.size()];
     if (block.at == at && block.size == size) return block;
     block = {at, size, 0, 0};
@@ -410,7 +413,7 @@ class Cpu {
     return block;
   }
 
-  static void interrupted(uc_engine*, uint32_t number, void* self) {
+  static void handle_interrupt(uc_engine*, uint32_t number, void* self) {
     Cpu& cpu = *static_cast<Cpu*>(self);
     cpu.pc = cpu.get(UC_ARM_REG_PC);
     if (number == 2) return cpu.report(Stop::call);
@@ -418,12 +421,12 @@ class Cpu {
       cpu.pc |= 1;
       return cpu.report(Stop::returned);
     }
-    const auto [kind, what] = fault_of(number);
+    const auto [kind, what] = describe_fault(number);
     cpu.fail(kind, what);
     cpu.report(Stop::fault);
   }
 
-  static bool no_instruction(uc_engine*, void* self) {
+  static bool handle_invalid_instruction(uc_engine*, void* self) {
     Cpu& cpu = *static_cast<Cpu*>(self);
     cpu.pc = cpu.get(UC_ARM_REG_PC) & ~1u;
     uint16_t before = 0;
@@ -438,9 +441,10 @@ class Cpu {
     return true;
   }
 
-  static bool no_memory(uc_engine*, uc_mem_type type, uint64_t address, int, int64_t, void* self) {
+  static bool handle_unmapped_access(uc_engine*, uc_mem_type type, uint64_t address, int, int64_t,
+                                     void* self) {
     Cpu& cpu = *static_cast<Cpu*>(self);
-    const auto [kind, what] = fault_of(type);
+    const auto [kind, what] = describe_fault(type);
     cpu.fail(what, static_cast<uint32_t>(address), kind);
     return false;
   }
@@ -449,7 +453,7 @@ class Cpu {
   static bool first_access(uc_engine*, uint64_t address, uc_mem_type type, uc_tlb_entry* out,
                            void* self) {
     Cpu& cpu = *static_cast<Cpu*>(self);
-    const Memory::Region* region = cpu.memory_.region(static_cast<uint32_t>(address));
+    const Memory::Region* region = cpu.memory_.find_region(static_cast<uint32_t>(address));
     out->paddr = address;
     out->perms = UC_PROT_ALL;  // where it is not: `no_memory` knows the address
     if (!region || !region->writable || region->code) return true;
@@ -476,7 +480,7 @@ class Cpu {
     waited_ = masks;
   }
   // Stop before the next block, whatever the time.
-  void attend() { until_ = deadline_ = ALWAYS; }
+  void stop_soon() { until_ = deadline_ = ALWAYS; }
 
  private:
   Memory& memory_;

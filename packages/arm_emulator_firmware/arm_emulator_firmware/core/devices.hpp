@@ -29,7 +29,7 @@ class Devices {
       : board_(board), nvic_(nvic), now_(now) {}
 
   // Set registers and devices as after a reset.
-  void wire() {
+  void connect_devices() {
     has_sent_ = false;
     registers = {};
     encoders_.clear(), adcs_.clear(), pins_.clear(), pwms_.clear(), uarts_.clear();
@@ -40,7 +40,7 @@ class Devices {
       const mcu_word word = board_.word[k];
       registers.word(word.at) = word.value;
       if (word.fixed)
-        registers.on_read(word.at, [word](uint32_t stored, bool) {
+        registers.set_read_handler(word.at, [word](uint32_t stored, bool) {
           return (stored & ~word.fixed) | (word.value & word.fixed);
         });
     }
@@ -79,7 +79,7 @@ class Devices {
     if (in.q_target) {
       if (mailbox_) {
         mailbox_->put(in.q_target);
-        if (mailbox_->interrupt() >= 0) nvic_.pend(Nvic::EXTERNAL + mailbox_->interrupt());
+        if (mailbox_->interrupt() >= 0) nvic_.set_pending(Nvic::EXTERNAL + mailbox_->interrupt());
       }
       for (Uart& uart : uarts_)
         if (uart.has_targets() && (in.new_row || !has_sent_))
@@ -118,10 +118,10 @@ class Devices {
                        [](const Uart& one) { return one.is_wired(); });
   }
 
-  void remembered(Checkpoint& list) {
-    registers.remembered(list);
-    for (TimerEncoder& encoder : encoders_) encoder.remembered(list);
-    for (Uart& uart : uarts_) uart.remembered(list);
+  void visit_state(Checkpoint& list) {
+    registers.visit_state(list);
+    for (TimerEncoder& encoder : encoders_) encoder.visit_state(list);
+    for (Uart& uart : uarts_) uart.visit_state(list);
     list(has_sent_);
   }
 

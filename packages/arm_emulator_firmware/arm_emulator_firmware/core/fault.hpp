@@ -32,7 +32,7 @@ struct Reason {
   Fault::Kind kind;
   const char* what;
 };
-inline Reason fault_of(uint32_t number) {
+inline Reason describe_fault(uint32_t number) {
   using Kind = Fault::Kind;
   switch (number) {
     case 3:
@@ -54,7 +54,7 @@ inline Reason fault_of(uint32_t number) {
   }
 }
 // The same of an access to an address without memory.
-inline Reason fault_of(uc_mem_type type) {
+inline Reason describe_fault(uc_mem_type type) {
   switch (type) {
     case UC_MEM_WRITE_UNMAPPED:
       return {Fault::Kind::bus, "write to an address where nothing is"};

@@ -38,12 +38,12 @@ class GdbServer {
 
   // Before every instruction: halt if requested, until the debugger continues. Returns false to end
   // the run.
-  bool attend(bool at_stop) {
+  bool serve_debugger(bool at_stop) {
     if (client_ < 0) return !killed_;
     if (!halted_) {
       if (stepped_ || (at_stop && moved_))
         halt(5);
-      else if (interrupt_comes())
+      else if (is_interrupt_requested())
         halt(2);
     }
     while (halted_ && client_ >= 0) serve();
@@ -58,12 +58,12 @@ class GdbServer {
   // Whether to run a single instruction.
   bool steps() const { return stepping_; }
   // The firmware has run.
-  void moved() {
+  void report_run() {
     moved_ = true;
     stepped_ = stepping_;
   }
   // The firmware cannot continue: report the reason until the debugger ends.
-  void ended() {
+  void report_end() {
     if (client_ < 0) return;
     halt(11);
     while (halted_ && client_ >= 0) serve();
@@ -81,7 +81,7 @@ class GdbServer {
     if (number < FIRST_WORD) return REGISTERS + 2 * (number - REGISTERS);
     return number - FIRST_WORD + REGISTERS + 2 * DOUBLES;
   }
-  static int words_in(int number) { return number >= REGISTERS && number < FIRST_WORD ? 2 : 1; }
+  static int count_words(int number) { return number >= REGISTERS && number < FIRST_WORD ? 2 : 1; }
 
   void halt(int signal) {
     halted_ = true;
@@ -110,7 +110,7 @@ class GdbServer {
   }
 
   // Whether Ctrl-C was pressed; while it runs, gdb sends nothing else that counts.
-  bool interrupt_comes() {
+  bool is_interrupt_requested() {
     while (at_ < buffered_.size() || fill(MSG_DONTWAIT))
       if (buffered_[at_++] == 3) return true;
     return false;
@@ -149,8 +149,8 @@ class GdbServer {
     }
     const int high = byte(), low = byte();
     if (one < 0 || low < 0) return leave();
-    const bool sound = digit(high) * 16 + digit(low) == sum;
-    raw(sound ? "+" : "-");
+    const bool sound = parse_digit(high) * 16 + parse_digit(low) == sum;
+    send_raw(sound ? "+" : "-");
     if (sound) answer(packet);
   }
 
@@ -217,14 +217,14 @@ class GdbServer {
       const std::string where(packet.substr(features.size()));
       const size_t from = std::strtoul(where.c_str(), &end, 16);
       const size_t size = *end ? std::strtoul(end + 1, nullptr, 16) : 0;
-      const std::string xml = description();
+      const std::string xml = describe_target();
       if (from >= xml.size()) return "l";
       return (from + size < xml.size() ? "m" : "l") + xml.substr(from, size);
     }
     return "";
   }
 
-  static std::string description() {
+  static std::string describe_target() {
     std::string xml =
         "<?xml version=\"1.0\"?><!DOCTYPE target SYSTEM \"gdb-target.dtd\"><target>"
         "<architecture>arm</architecture><feature name=\"org.gnu.gdb.arm.m-profile\">";
@@ -247,7 +247,7 @@ class GdbServer {
     if (number >= static_cast<size_t>(ALL)) return "E01";
     std::string out;
     const int one = static_cast<int>(number);
-    for (int k = 0; k < words_in(one); ++k)
+    for (int k = 0; k < count_words(one); ++k)
       put_word(out, debugged_.get_register(place_of(one) + k));
     return out;
   }
@@ -262,7 +262,7 @@ class GdbServer {
     const std::vector<uint8_t> bytes = take_bytes(text);
     const size_t words = std::min<size_t>(bytes.size() / 4, place_of(ALL));
     for (size_t k = 0; k < words; ++k)
-      debugged_.set_register(static_cast<int>(k), word_of(&bytes[4 * k]));
+      debugged_.set_register(static_cast<int>(k), read_word_of(&bytes[4 * k]));
     send("OK");
   }
 
@@ -271,9 +271,10 @@ class GdbServer {
     const size_t number = std::strtoul(text, &end, 16);
     const std::vector<uint8_t> bytes = take_bytes(*end == '=' ? end + 1 : end);
     const int one = number < static_cast<size_t>(ALL) ? static_cast<int>(number) : ALL;
-    if (one == ALL || bytes.size() != 4u * static_cast<size_t>(words_in(one))) return send("E01");
-    for (int k = 0; k < words_in(one); ++k)
-      debugged_.set_register(place_of(one) + k, word_of(&bytes[4 * static_cast<size_t>(k)]));
+    if (one == ALL || bytes.size() != 4u * static_cast<size_t>(count_words(one)))
+      return send("E01");
+    for (int k = 0; k < count_words(one); ++k)
+      debugged_.set_register(place_of(one) + k, read_word_of(&bytes[4 * static_cast<size_t>(k)]));
     send("OK");
   }
 
@@ -297,7 +298,7 @@ class GdbServer {
     const size_t size = std::strtoul(end + 1, &end, 16);
     const std::vector<uint8_t> bytes = take_bytes(*end == ':' ? end + 1 : end);
     if (bytes.size() != size) return false;
-    return bytes.empty() || debugged_.poke(at, bytes.data(), static_cast<uint32_t>(size));
+    return bytes.empty() || debugged_.write_memory(at, bytes.data(), static_cast<uint32_t>(size));
   }
 
   std::string set_stop(bool on, const char* text) {
@@ -311,7 +312,7 @@ class GdbServer {
     return "OK";
   }
 
-  static int digit(int c) {
+  static int parse_digit(int c) {
     return c >= '0' && c <= '9'   ? c - '0'
            : c >= 'a' && c <= 'f' ? c - 'a' + 10
            : c >= 'A' && c <= 'F' ? c - 'A' + 10
@@ -325,13 +326,13 @@ class GdbServer {
   static void put_word(std::string& out, uint32_t value) {
     for (int k = 0; k < 4; ++k) put_byte(out, static_cast<uint8_t>(value >> 8 * k));
   }
-  static uint32_t word_of(const uint8_t* bytes) {
+  static uint32_t read_word_of(const uint8_t* bytes) {
     return bytes[0] | bytes[1] << 8 | bytes[2] << 16 | static_cast<uint32_t>(bytes[3]) << 24;
   }
   static std::vector<uint8_t> take_bytes(const char* text) {
     std::vector<uint8_t> bytes;
-    for (; digit(text[0]) >= 0 && digit(text[1]) >= 0; text += 2)
-      bytes.push_back(static_cast<uint8_t>(digit(text[0]) * 16 + digit(text[1])));
+    for (; parse_digit(text[0]) >= 0 && parse_digit(text[1]) >= 0; text += 2)
+      bytes.push_back(static_cast<uint8_t>(parse_digit(text[0]) * 16 + parse_digit(text[1])));
     return bytes;
   }
 
@@ -340,9 +341,9 @@ class GdbServer {
     for (const char c : text) sum = static_cast<uint8_t>(sum + c);
     std::string packet = "$" + text + "#";
     put_byte(packet, sum);
-    raw(packet);
+    send_raw(packet);
   }
-  void raw(std::string_view text) {
+  void send_raw(std::string_view text) {
     while (!text.empty()) {
       const ssize_t sent = ::send(client_, text.data(), text.size(), MSG_NOSIGNAL);
       if (sent <= 0) return;

@@ -9,17 +9,17 @@ namespace mcu {
 inline void add_port(const mcu_port& port, Registers& registers) {
   uint32_t* output = &registers.word(port.output);
   if (port.set_reset)
-    registers.on_write(port.set_reset, [output](uint32_t value, uint32_t) {
+    registers.set_write_handler(port.set_reset, [output](uint32_t value, uint32_t) {
       *output = (*output & ~(value >> 16)) | (value & 0xffff);
       return 0u;
     });
   if (port.set)
-    registers.on_write(port.set, [output](uint32_t value, uint32_t) {
+    registers.set_write_handler(port.set, [output](uint32_t value, uint32_t) {
       *output |= value;
       return 0u;
     });
   if (port.clear)
-    registers.on_write(port.clear, [output](uint32_t value, uint32_t) {
+    registers.set_write_handler(port.clear, [output](uint32_t value, uint32_t) {
       *output &= ~value;
       return 0u;
     });

@@ -25,7 +25,7 @@ class Memory {
   const std::vector<Region>& regions() const { return regions_; }
 
   // The region of an address, or null.
-  const Region* region(uint32_t at) const {
+  const Region* find_region(uint32_t at) const {
     for (const Region& region : regions_)
       if (at - region.at < region.size) return &region;
     return nullptr;
@@ -53,7 +53,7 @@ class Memory {
 
   // Flash is not among it: nothing but a debugger writes there. Return whether code is another than
   // before.
-  bool remembered(Checkpoint& list) {
+  bool visit_state(Checkpoint& list) {
     bool other_code = false;
     for (Region& region : regions_) {
       if (!region.writable) continue;

@@ -41,9 +41,9 @@ class Nvic {
   }
 
   int exceptions() const { return exceptions_; }
-  bool enabled(int n) const { return enabled_[n]; }
-  bool pending(int n) const { return pending_[n]; }
-  bool active(int n) const { return active_[n]; }
+  bool is_enabled(int n) const { return enabled_[n]; }
+  bool is_pending(int n) const { return pending_[n]; }
+  bool is_active(int n) const { return active_[n]; }
   uint32_t priority(int n) const { return static_cast<uint32_t>(priority_[n]); }
 
   void enable(int n, bool on) {
@@ -51,7 +51,7 @@ class Nvic {
     enabled_[n] = on;
     changed_ = true;
   }
-  void pend(int n, bool on = true) {
+  void set_pending(int n, bool on = true) {
     if (n >= exceptions_) return;
     pending_[n] = on;
     if (on) changed_ = true;
@@ -69,7 +69,7 @@ class Nvic {
 
   // A device requests its interrupt until it withdraws the request.
   void set_line(int n, bool high) {
-    if (high && !line_[n]) pend(n);
+    if (high && !line_[n]) set_pending(n);
     line_[n] = high;
   }
 
@@ -86,7 +86,7 @@ class Nvic {
   // Whether a change may let an exception enter; reading clears it.
   bool changed() { return std::exchange(changed_, false); }
 
-  void remembered(Checkpoint& list) {
+  void visit_state(Checkpoint& list) {
     list(group_mask_, changed_, enabled_, pending_, active_, line_, priority_);
   }
 
@@ -115,7 +115,7 @@ class Nvic {
     return group(n) < under(now, masks.basepri);
   }
   // Whether it ends a sleep, as if PRIMASK were 0.
-  bool may_wake(int n, const Masks& masks) const {
+  bool can_wake_processor(int n, const Masks& masks) const {
     return may_enter(n, {0, masks.basepri, masks.faultmask});
   }
 

@@ -16,15 +16,16 @@ class Pwm {
   double voltage() {
     switch (description_.kind) {
       case MCU_BIPOLAR:
-        return runs() ? description_.full_scale * (2 * duty(description_.compare) - 1) : 0;
+        return runs() ? description_.full_scale * (2 * compute_duty(description_.compare) - 1) : 0;
       case MCU_UNIPOLAR: {
         const bool negative =
             registers_.word(description_.direction) >> description_.direction_bit & 1;
-        const double size = description_.full_scale * duty(description_.compare);
+        const double size = description_.full_scale * compute_duty(description_.compare);
         return negative ? -size : size;
       }
       case MCU_PAIR:
-        return description_.full_scale * (duty(description_.compare) - duty(description_.minus));
+        return description_.full_scale *
+               (compute_duty(description_.compare) - compute_duty(description_.minus));
       default:
         return registers_.number(description_.compare);
     }
@@ -32,7 +33,7 @@ class Pwm {
 
  private:
   bool runs() { return registers_.word(description_.reload) != 0; }
-  double duty(uint32_t compare) {
+  double compute_duty(uint32_t compare) {
     if (!runs()) return 0;
     const double top =
         registers_.word(description_.reload) + static_cast<double>(description_.counts_more);

@@ -31,13 +31,13 @@ class Registers {
   void put(uint32_t at, float number) { word(at) = std::bit_cast<uint32_t>(number); }
 
   // Whether a register with side effects was accessed since the last call.
-  bool special() { return std::exchange(special_, false); }
+  bool has_special_access() { return std::exchange(special_, false); }
 
-  void on_read(uint32_t at, Read read) {
+  void set_read_handler(uint32_t at, Read read) {
     reads_[at] = std::move(read);
     find(at).does_more() = true;
   }
-  void on_write(uint32_t at, Write write) {
+  void set_write_handler(uint32_t at, Write write) {
     writes_[at] = std::move(write);
     find(at).does_more() = true;
   }
@@ -52,7 +52,7 @@ class Registers {
         value = one->second(value, look);
         special_ = true;
       }
-    return size == 4 ? value : value >> 8 * (at & 3) & mask_of(size);
+    return size == 4 ? value : value >> 8 * (at & 3) & make_mask(size);
   }
 
   void write(uint32_t at, unsigned size, uint32_t value) {
@@ -61,7 +61,7 @@ class Registers {
     if (!place.block) return;
     if (size < 4) {
       const unsigned shift = 8 * (at & 3);
-      const uint32_t mask = mask_of(size) << shift;
+      const uint32_t mask = make_mask(size) << shift;
       value = (place.word() & ~mask) | (value << shift & mask);
     }
     if (place.does_more())
@@ -72,7 +72,7 @@ class Registers {
     place.word() = value;
   }
 
-  void remembered(Checkpoint& list) {
+  void visit_state(Checkpoint& list) {
     list(special_);
     for (Block& block : blocks_) list(block.words);
   }
@@ -91,7 +91,7 @@ class Registers {
     std::vector<bool>::reference does_more() const { return block->does_more[index]; }
   };
 
-  static uint32_t mask_of(unsigned size) { return size == 1 ? 0xffu : 0xffffu; }
+  static uint32_t make_mask(unsigned size) { return size == 1 ? 0xffu : 0xffffu; }
 
   Place find(uint32_t at) {
     for (Block& block : blocks_)

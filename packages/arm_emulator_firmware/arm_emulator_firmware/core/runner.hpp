@@ -29,7 +29,9 @@ class Runner : public Bus {
         systick_(nvic_),
         system_(
             nvic_, systick_,
-            [this](uint32_t at, bool look) { return look ? cpu_.instant() : cpu_.instant(at); },
+            [this](uint32_t at, bool look) {
+              return look ? cpu_.time_of_instruction() : cpu_.time_of_instruction(at);
+            },
             board.vectors),
         devices_(board_, nvic_, cpu_.now) {
     for (int k = 0; k < board.regions; ++k) {
@@ -37,7 +39,7 @@ class Runner : public Bus {
       if (one.kind != MCU_REGISTERS)
         memory_.add(one.at, one.size, one.kind != MCU_FLASH, one.kind != MCU_RAM);
     }
-    devices_.wire();
+    devices_.connect_devices();
   }
 
   // Return null, or the reason for a failure.
@@ -64,29 +66,29 @@ class Runner : public Bus {
       begun_ = true;
       devices_.measure(in, false);
       reset();
-      boot_ = cycles_of(board_.boot);
+      boot_ = count_cycles(board_.boot);
       run_until(boot_);
       if (stopped) return;
     }
     if (board_.preload) devices_.command(out);
     devices_.measure(in, true);
-    run_until(boot_ + cycles_of(static_cast<double>(in.time + board_.period) * 1e-9));
+    run_until(boot_ + count_cycles(static_cast<double>(in.time + board_.period) * 1e-9));
     if (!board_.preload) devices_.command(out);
   }
 
   uint32_t read(uint32_t at, unsigned size) override {
     if (at >= SystemControl::AT) return system_.read(at, size);
     const uint32_t value = devices_.registers.read(at, size);
-    if (devices_.registers.special()) settle();
+    if (devices_.registers.has_special_access()) update_deadline();
     return value;
   }
   void write(uint32_t at, unsigned size, uint32_t value) override {
     if (at >= SystemControl::AT) {
       system_.write(at, size, value);
-      return cpu_.attend();
+      return cpu_.stop_soon();
     }
     devices_.registers.write(at, size, value);
-    if (devices_.registers.special()) settle();
+    if (devices_.registers.has_special_access()) update_deadline();
   }
 
   // Reason for which no checkpoint can be made; null: it can.
@@ -97,10 +99,10 @@ class Runner : public Bus {
   // Return all that decides how it goes on, for `restore` of this runner; valid up to the next one.
   const std::vector<uint8_t>& save() {
     saved_.clear();
-    remembered(Checkpoint(saved_));
+    visit_state(Checkpoint(saved_));
     return saved_;
   }
-  void restore(const uint8_t* saved) { remembered(Checkpoint(saved)); }
+  void restore(const uint8_t* saved) { visit_state(Checkpoint(saved)); }
 
   // Registers as read and written by a debugger: 0 to 15, 16 xPSR, from 17 on S0 to S31, 49 FPSCR,
   // 50 MSP, 51 PSP, 52 PRIMASK, 53 BASEPRI, 54 FAULTMASK, 55 CONTROL.
@@ -116,7 +118,7 @@ class Runner : public Bus {
       cpu_.set_flags(value);
     else
       cpu_.set(register_of(number), value);
-    if (number >= 50) cpu_.masks_changed();
+    if (number >= 50) cpu_.handle_mask_change();
   }
   // Read a byte without side effects; false: no memory there.
   bool look(uint32_t at, uint8_t* out) {
@@ -129,7 +131,7 @@ class Runner : public Bus {
       return false;
     return true;
   }
-  bool poke(uint32_t at, const uint8_t* bytes, uint32_t size) {
+  bool write_memory(uint32_t at, const uint8_t* bytes, uint32_t size) {
     if (memory_.write(at, bytes, size)) {
       cpu_.forget(at, size);
       return true;
@@ -165,17 +167,17 @@ class Runner : public Bus {
     return SYSTEM[number - 49];
   }
 
-  void remembered(Checkpoint list) {
-    cpu_.remembered(list, memory_.remembered(list));
-    nvic_.remembered(list);
-    systick_.remembered(list);
-    system_.remembered(list);
-    devices_.remembered(list);
+  void visit_state(Checkpoint list) {
+    cpu_.visit_state(list, memory_.visit_state(list));
+    nvic_.visit_state(list);
+    systick_.visit_state(list);
+    system_.visit_state(list);
+    devices_.visit_state(list);
     list(fault, figures, stopped, first_fault_, first_fault_pc_, locked_up_, awake_from_, boot_);
     list(deadline_, begun_, asleep_, event_, near_);
   }
 
-  Time cycles_of(double seconds) const {
+  Time count_cycles(double seconds) const {
     return static_cast<Time>(seconds * board_.clock + 0.5) * CYCLE;
   }
 
@@ -188,9 +190,9 @@ class Runner : public Bus {
   }
 
   // Firmware's access to a device may raise an interrupt, or one sooner than planned.
-  void settle() {
+  void update_deadline() {
     devices_.set_lines();
-    if (nvic_.changed() || next_event() < deadline_) cpu_.attend();
+    if (nvic_.changed() || next_event() < deadline_) cpu_.stop_soon();
   }
 
   Time next_event() const { return std::min(systick_.next(), devices_.next()); }
@@ -204,24 +206,24 @@ class Runner : public Bus {
         if (now >= limit) break;
         if (!take_exception()) return;
         if (asleep_) {
-          if (!attend(false)) return;
+          if (!serve_debugger(false)) return;
           sleep(std::min(limit, next_event()));
           continue;
         }
       }
-      if (!attend(cpu_.stop_here()) || !advance(std::min(limit, next_event()))) return;
+      if (!serve_debugger(cpu_.is_stop_here()) || !advance(std::min(limit, next_event()))) return;
     }
     figures.instructions = cpu_.instructions;
     figures.cycles = static_cast<uint64_t>(cpu_.now / CYCLE);
   }
 
   // Let a debugger act; false: it has ended the run.
-  bool attend(bool at_stop) {
+  bool serve_debugger(bool at_stop) {
     if (debugger_ && breaks && *breaks) {
       *breaks = 0;
       debugger_->halt_here();
     }
-    if (debugger_ && !debugger_->attend(at_stop)) stopped = 1;
+    if (debugger_ && !debugger_->serve_debugger(at_stop)) stopped = 1;
     return !stopped;
   }
 
@@ -238,7 +240,7 @@ class Runner : public Bus {
     const int first = nvic_.first();
     if (!first) return true;
     const Masks masks = cpu_.masks();
-    if (asleep_ && nvic_.may_wake(first, masks)) asleep_ = false;
+    if (asleep_ && nvic_.can_wake_processor(first, masks)) asleep_ = false;
     if (nvic_.may_enter(first, masks)) return enter(first);
     cpu_.wait_for_masks(masks);
     return true;
@@ -262,7 +264,7 @@ class Runner : public Bus {
     const bool steps = debugger_ && (debugger_->steps() || cpu_.inside() || near_);
     const Cpu::Stop stop = steps ? cpu_.step() : cpu_.run(deadline);
     near_ = !steps && stop == Cpu::Stop::between && cpu_.stop_near();
-    if (debugger_ && !near_) debugger_->moved();
+    if (debugger_ && !near_) debugger_->report_run();
     if (system_.reset_asked) return restart();  // whatever came behind it in its line
     switch (stop) {
       case Cpu::Stop::call:
@@ -270,7 +272,7 @@ class Runner : public Bus {
       case Cpu::Stop::returned:
         return leave();
       case Cpu::Stop::fault:
-        return faulted();
+        return handle_fault();
       case Cpu::Stop::sleep:
         asleep_ = true;
         break;
@@ -280,7 +282,8 @@ class Runner : public Bus {
       default:
         break;
     }
-    if (system_.active == Nvic::HARD_FAULT && stop == Cpu::Stop::between && stands_still(cpu_.pc)) {
+    if (system_.active == Nvic::HARD_FAULT && stop == Cpu::Stop::between &&
+        is_self_branch(cpu_.pc)) {
       cpu_.fault = first_fault_;
       cpu_.pc = first_fault_pc_;
       return failed();
@@ -293,12 +296,12 @@ class Runner : public Bus {
   }
 
   bool call() {
-    nvic_.pend(Nvic::SVCALL);
+    nvic_.set_pending(Nvic::SVCALL);
     if (nvic_.may_enter(Nvic::SVCALL, cpu_.masks())) return true;
-    nvic_.pend(Nvic::SVCALL, false);
+    nvic_.set_pending(Nvic::SVCALL, false);
     cpu_.pc -= 2;  // of a fault it is the instruction that made it
     cpu_.fail(Kind::escalated, "hard fault: a supervisor call where its priority is masked");
-    return faulted();
+    return handle_fault();
   }
 
   // Restart like the reset pin: memory keeps its contents, and time continues.
@@ -307,7 +310,7 @@ class Runner : public Bus {
     std::destroy_at(&systick_);
     std::construct_at(&systick_, nvic_);
     system_.begin_again(board_.vectors);
-    devices_.wire();
+    devices_.connect_devices();
     devices_.measure(*in_, false);
     asleep_ = event_ = false;
     ++figures.resets;
@@ -316,14 +319,14 @@ class Runner : public Bus {
   }
 
   // Continue in the handler of the fault; false: no handler, the run has ended.
-  bool faulted() {
+  bool handle_fault() {
     const Fault fault = cpu_.fault;
-    if (fault.kind == Kind::none || debugger_halts(fault)) return failed();
+    if (fault.kind == Kind::none || is_debugger_halting(fault)) return failed();
     system_.record(fault);
     const Masks masks = cpu_.masks();
-    int handler = SystemControl::handler_of(fault.kind);
-    if (!system_.handles(handler) || !nvic_.may_enter(handler, masks)) {
-      if (handler != Nvic::HARD_FAULT) system_.escalate();
+    int handler = SystemControl::find_handler(fault.kind);
+    if (!system_.has_handler(handler) || !nvic_.may_enter(handler, masks)) {
+      if (handler != Nvic::HARD_FAULT) system_.set_forced_fault();
       handler = Nvic::HARD_FAULT;
     }
     if (!nvic_.may_enter(handler, masks)) {
@@ -333,25 +336,25 @@ class Runner : public Bus {
     uint32_t vector = 0;
     const bool is_there =
         memory_.read(system_.vectors + 4 * static_cast<uint32_t>(handler), &vector, 4);
-    if (!is_there || !(vector & 1) || stands_still(vector & ~1u)) return failed();
+    if (!is_there || !(vector & 1) || is_self_branch(vector & ~1u)) return failed();
     if (!figures.faults) put_fault(fault.what, fault.address, fault.has_address);
     if (!figures.faults++ || system_.active != Nvic::HARD_FAULT)
       first_fault_ = fault, first_fault_pc_ = cpu_.pc;
     return enter(handler);
   }
   // A debugger, if connected, handles breakpoint instructions.
-  bool debugger_halts(const Fault& fault) const {
+  bool is_debugger_halting(const Fault& fault) const {
     return debugger_ && fault.kind == Kind::breakpoint;
   }
   // Whether the code is a branch to itself.
-  bool stands_still(uint32_t at) const {
+  bool is_self_branch(uint32_t at) const {
     uint16_t code = 0;
     return memory_.read(at, &code, 2) && code == 0xe7fe;
   }
 
   bool leave() {
     const int exception = static_cast<int>(system_.active);
-    if (!nvic_.active(exception)) {
+    if (!nvic_.is_active(exception)) {
       cpu_.fail("an exception return outside of handlers");
       return failed();
     }
@@ -367,7 +370,7 @@ class Runner : public Bus {
   bool failed() {
     end(cpu_.fault.what ? cpu_.fault.what : "no reason", cpu_.fault.address,
         cpu_.fault.has_address);
-    if (debugger_) debugger_->ended();
+    if (debugger_) debugger_->report_end();
     return false;
   }
 

@@ -57,18 +57,18 @@ class SystemControl {
     words_ = {{FPCCR, 0xc0000000}};
   }
 
-  void remembered(Checkpoint& list) {
+  void visit_state(Checkpoint& list) {
     list(vectors, sleep_on_exit, reset_asked, active, prigroup_, sleep_control_, cycles_from_);
     list(words_);
   }
 
   // Whether firmware has a handler of its own for a kind of faults switched on.
-  bool handles(int exception) const {
+  bool has_handler(int exception) const {
     if (exception == Nvic::HARD_FAULT) return true;
     const auto entry = words_.find(SHCSR);
     return entry != words_.end() && entry->second >> (exception - Nvic::MEMORY_FAULT + 16) & 1;
   }
-  static int handler_of(Fault::Kind kind) {
+  static int find_handler(Fault::Kind kind) {
     using Kind = Fault::Kind;
     switch (kind) {
       case Kind::bus:
@@ -113,14 +113,14 @@ class SystemControl {
         words_[HFSR] |= 1u << 31;
         break;
       case Kind::escalated:
-        escalate();
+        set_forced_fault();
         break;
       case Kind::none:
         break;
     }
   }
   // Another handler is not switched on, or may not enter now.
-  void escalate() { words_[HFSR] |= 1u << 30; }
+  void set_forced_fault() { words_[HFSR] |= 1u << 30; }
 
  private:
   static constexpr uint32_t SHCSR = 0xe000ed24, CFSR = 0xe000ed28, HFSR = 0xe000ed2c,
@@ -142,7 +142,7 @@ class SystemControl {
     const int n = static_cast<int>(Nvic::EXTERNAL + interrupt);
     return n < nvic_.exceptions() ? n : 0;
   }
-  uint32_t priorities(int first) const {
+  uint32_t read_priorities(int first) const {
     uint32_t value = 0;
     for (int k = 0; k < 4; ++k)
       if (first + k < nvic_.exceptions()) value |= nvic_.priority(first + k) << 8 * k;
@@ -154,15 +154,15 @@ class SystemControl {
     switch (at & ~0x1fu) {
       case 0xe000e100:
       case 0xe000e180:
-        return gather(bank, [&](int n) { return nvic_.enabled(n); });
+        return gather(bank, [&](int n) { return nvic_.is_enabled(n); });
       case 0xe000e200:
       case 0xe000e280:
-        return gather(bank, [&](int n) { return nvic_.pending(n); });
+        return gather(bank, [&](int n) { return nvic_.is_pending(n); });
       case 0xe000e300:
-        return gather(bank, [&](int n) { return nvic_.active(n); });
+        return gather(bank, [&](int n) { return nvic_.is_active(n); });
     }
     if (at >= 0xe000e400 && at < 0xe000e4f0)
-      return priorities(static_cast<int>(Nvic::EXTERNAL + at - 0xe000e400));
+      return read_priorities(static_cast<int>(Nvic::EXTERNAL + at - 0xe000e400));
     switch (at) {
       case 0xe000e004:
         return static_cast<uint32_t>((nvic_.exceptions() - 17) / 32);
@@ -185,7 +185,7 @@ class SystemControl {
       case 0xe000ed18:
       case 0xe000ed1c:
       case 0xe000ed20:
-        return priorities(static_cast<int>(4 + at - 0xe000ed18));
+        return read_priorities(static_cast<int>(4 + at - 0xe000ed18));
       case 0xe0001004:
         return static_cast<uint32_t>(instant_(at, look) / CYCLE - cycles_from_);  // DWT CYCCNT
     }
@@ -201,9 +201,9 @@ class SystemControl {
       case 0xe000e180:
         return for_each_bit(bank, value, [&](int n) { nvic_.enable(n, false); });
       case 0xe000e200:
-        return for_each_bit(bank, value, [&](int n) { nvic_.pend(n); });
+        return for_each_bit(bank, value, [&](int n) { nvic_.set_pending(n); });
       case 0xe000e280:
-        return for_each_bit(bank, value, [&](int n) { nvic_.pend(n, false); });
+        return for_each_bit(bank, value, [&](int n) { nvic_.set_pending(n, false); });
       case 0xe000e300:
         return;
     }
@@ -242,7 +242,7 @@ class SystemControl {
         words_[at] &= ~value;
         return;
       case 0xe000ef00:
-        if (const int n = exception(value & 0x1ff)) nvic_.pend(n);  // STIR
+        if (const int n = exception(value & 0x1ff)) nvic_.set_pending(n);  // STIR
         return;
       case 0xe0001004:
         cycles_from_ = instant_(at, false) / CYCLE - value;
@@ -261,16 +261,16 @@ class SystemControl {
     const int first = nvic_.first();
     uint32_t value = active | static_cast<uint32_t>(first) << 12;
     if (first >= Nvic::EXTERNAL) value |= 1u << 22;
-    if (nvic_.pending(Nvic::SYSTICK)) value |= 1u << 26;
-    if (nvic_.pending(Nvic::PENDSV)) value |= 1u << 28;
+    if (nvic_.is_pending(Nvic::SYSTICK)) value |= 1u << 26;
+    if (nvic_.is_pending(Nvic::PENDSV)) value |= 1u << 28;
     return value;
   }
   void set_interrupt_state(uint32_t value) {
-    if (value & 1u << 25) nvic_.pend(Nvic::SYSTICK, false);
-    if (value & 1u << 26) nvic_.pend(Nvic::SYSTICK);
-    if (value & 1u << 27) nvic_.pend(Nvic::PENDSV, false);
-    if (value & 1u << 28) nvic_.pend(Nvic::PENDSV);
-    if (value & 1u << 31) nvic_.pend(Nvic::NMI);
+    if (value & 1u << 25) nvic_.set_pending(Nvic::SYSTICK, false);
+    if (value & 1u << 26) nvic_.set_pending(Nvic::SYSTICK);
+    if (value & 1u << 27) nvic_.set_pending(Nvic::PENDSV, false);
+    if (value & 1u << 28) nvic_.set_pending(Nvic::PENDSV);
+    if (value & 1u << 31) nvic_.set_pending(Nvic::NMI);
   }
 
   Nvic& nvic_;

@@ -10,12 +10,12 @@ class SysTick {
  public:
   explicit SysTick(Nvic& nvic) : nvic_(nvic) {}
 
-  Time next() const { return enabled() ? zero_ : NEVER; }
+  Time next() const { return is_enabled() ? zero_ : NEVER; }
 
   void advance(Time now) {
-    if (!enabled() || now < zero_) return;
+    if (!is_enabled() || now < zero_) return;
     counted_ = true;
-    if (control_ & 2) nvic_.pend(Nvic::SYSTICK);
+    if (control_ & 2) nvic_.set_pending(Nvic::SYSTICK);
     zero_ += (now - zero_) / period() * period() + period();
   }
 
@@ -25,18 +25,18 @@ class SysTick {
     return value;
   }
   void set_control(uint32_t value, Time now) {
-    const bool was = enabled();
+    const bool was = is_enabled();
     const Time left = was ? zero_ - now : 0;
     control_ = value & 7;
-    if (was && !enabled()) left_ = left / unit();
-    if (!was && enabled()) zero_ = now + (left_ > 0 ? left_ * unit() : period());
+    if (was && !is_enabled()) left_ = left / unit();
+    if (!was && is_enabled()) zero_ = now + (left_ > 0 ? left_ * unit() : period());
   }
 
   uint32_t load() const { return load_; }
   void set_load(uint32_t value) { load_ = value & 0xffffff; }
 
   uint32_t value(Time now) const {
-    if (!enabled()) return static_cast<uint32_t>(left_);
+    if (!is_enabled()) return static_cast<uint32_t>(left_);
     const Time left = (zero_ - now) / unit();
     return static_cast<uint32_t>(left < 0 ? 0 : left > load_ ? load_ : left);
   }
@@ -47,10 +47,10 @@ class SysTick {
     zero_ = now + period();
   }
 
-  void remembered(Checkpoint& list) { list(control_, load_, left_, zero_, counted_); }
+  void visit_state(Checkpoint& list) { list(control_, load_, left_, zero_, counted_); }
 
  private:
-  bool enabled() const { return (control_ & 1) && load_; }
+  bool is_enabled() const { return (control_ & 1) && load_; }
   // The reference clock is an eighth of the processor's.
   Time unit() const { return control_ & 4 ? CYCLE : 8 * CYCLE; }
   Time period() const { return (static_cast<Time>(load_) + 1) * unit(); }

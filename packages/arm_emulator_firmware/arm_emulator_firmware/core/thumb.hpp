@@ -21,7 +21,7 @@ struct Access {
   int base;
   uint32_t offset;
 };
-inline Access access_of(const uint16_t* code) {
+inline Access decode_access(const uint16_t* code) {
   static constexpr int NAMES[] = {UC_ARM_REG_R0,  UC_ARM_REG_R1, UC_ARM_REG_R2,  UC_ARM_REG_R3,
                                   UC_ARM_REG_R4,  UC_ARM_REG_R5, UC_ARM_REG_R6,  UC_ARM_REG_R7,
                                   UC_ARM_REG_R8,  UC_ARM_REG_R9, UC_ARM_REG_R10, UC_ARM_REG_R11,

@@ -15,7 +15,7 @@ class TimerEncoder {
         mask_(description.bits == 32 ? ~0u : (1u << description.bits) - 1),
         registers_(registers) {
     // Firmware sets the initial count.
-    registers.on_write(description.at, [this](uint32_t value, uint32_t) {
+    registers.set_write_handler(description.at, [this](uint32_t value, uint32_t) {
       offset_ = (value - counts_) & mask_;
       return value & mask_;
     });
@@ -26,7 +26,7 @@ class TimerEncoder {
     registers_.word(description_.at) = (counts_ + offset_) & mask_;
   }
 
-  void remembered(Checkpoint& list) { list(counts_, offset_); }
+  void visit_state(Checkpoint& list) { list(counts_, offset_); }
 
  private:
   mcu_encoder description_;

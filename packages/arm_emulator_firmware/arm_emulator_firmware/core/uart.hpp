@@ -23,13 +23,15 @@ class Uart {
         now_(now),
         registers_(registers) {
     registers.word(description.status) = EMPTY | SENT;
-    registers.on_write(description.status, [](uint32_t, uint32_t stored) { return stored; });
-    registers.on_write(description.control, [](uint32_t value, uint32_t) { return value; });
-    registers.on_read(description.data, [this](uint32_t stored, bool look) {
+    registers.set_write_handler(description.status,
+                                [](uint32_t, uint32_t stored) { return stored; });
+    registers.set_write_handler(description.control,
+                                [](uint32_t value, uint32_t) { return value; });
+    registers.set_read_handler(description.data, [this](uint32_t stored, bool look) {
       if (!look) registers_.word(description_.status) &= ~(RECEIVED | OVERRUN);
       return stored;
     });
-    registers.on_write(description.data, [this](uint32_t value, uint32_t stored) {
+    registers.set_write_handler(description.data, [this](uint32_t value, uint32_t stored) {
       send(static_cast<uint8_t>(value));
       return stored;
     });
@@ -64,7 +66,7 @@ class Uart {
   // Whether bytes go out to, or come from, somewhere that no checkpoint takes back.
   bool is_wired() const { return description_.out >= 0 || description_.in >= 0; }
 
-  void remembered(Checkpoint& list) { list(arrives_, next_in_, sent_); }
+  void visit_state(Checkpoint& list) { list(arrives_, next_in_, sent_); }
 
   // Read typed input.
   void listen() {

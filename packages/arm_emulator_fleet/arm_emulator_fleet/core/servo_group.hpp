@@ -138,7 +138,7 @@ void reset_servo(servo_fleet& fleet, int32_t arm) {
   Mask lane = {};
   lane[arm % L] = -1;
   Group& group = fleet.lanes->group[arm / L];
-  lane_servo::begin_clock(&group.clock, lane);
+  lane_servo::reset_clock(&group.clock, lane);
   group.tick[arm % L] = group.next[arm % L] = 0;
   if (fleet.since) fleet.row[arm] = fleet.first_row[arm];
   for (int32_t j = 0; j < fleet.joints; ++j) clear_lane(find_joints(fleet, arm)[j].state, arm % L);
@@ -183,13 +183,14 @@ void servo_fleet_step(void* with, const arm_fleet_rows* rows) {
   Joint* const joint = &fleet.lanes->joint[group_index * fleet.joints];
   Targets targets;
   const lane_servo::servo_past past =
-      lane_servo::measure_at(&group.clock, group.tick * fleet.period);
+      lane_servo::advance_clock(&group.clock, group.tick * fleet.period);
   select_rows(fleet, rows->first, group, targets);
   group.tick += 1;
   const bool aims = lane_servo::any(targets.is_active), fresh = lane_servo::any(targets.is_new);
-  const Numbers since = aims ? lane_servo::aim_now(&group.clock, targets.is_active) : Numbers{};
+  const Numbers since =
+      aims ? lane_servo::register_target(&group.clock, targets.is_active) : Numbers{};
   const auto powered = __builtin_convertvector(load<Bytes>(rows->powered), Counts) != 0;
-  const lane_servo::servo_turn turn = lane_servo::turn_of(&group.clock, powered);
+  const lane_servo::servo_decision decision = lane_servo::decide_period(&group.clock, powered);
   for (int32_t j = 0; j < fleet.joints; ++j) {
     const lane_servo::servo_joint* numbers = &joint[j].numbers;
     lane_servo::servo_state* state = &joint[j].state;
@@ -205,9 +206,9 @@ void servo_fleet_step(void* with, const arm_fleet_rows* rows) {
         if (fleet.v) v = Targets::of(targets.v, j);
         if (fleet.tau) tau = Targets::of(targets.tau, j);
       }
-      lane_servo::take_target(state, targets.is_active, q, v, tau, since);
+      lane_servo::set_target(state, targets.is_active, q, v, tau, since);
     }
-    lost |= lane_servo::command_joint(numbers, state, &turn, &command);
+    lost |= lane_servo::command_joint(numbers, state, &decision, &command);
     __builtin_memcpy(rows->value + at, &command, sizeof command);
     if (lane_servo::any(lost))
       for (int l = 0; l < rows->arms; ++l) fleet.arm[rows->first + l].restarts += lost[l] != 0;

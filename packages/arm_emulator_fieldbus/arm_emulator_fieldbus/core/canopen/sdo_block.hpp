@@ -19,7 +19,7 @@ inline constexpr std::uint8_t kLast = 0x80;
 inline constexpr std::size_t kSegment = 7;  // bytes
 
 // CRC-16, polynomial 0x1021, beginning with 0.
-inline std::uint16_t checksum(std::span<const std::uint8_t> data) {
+inline std::uint16_t compute_checksum(std::span<const std::uint8_t> data) {
   unsigned sum = 0;
   for (const std::uint8_t one : data) {
     sum ^= static_cast<unsigned>(one) << 8;
@@ -81,7 +81,7 @@ class BlockUpload {
     const std::size_t unused = over || value_.empty() ? sdo_block::kSegment - over : 0;
     Bytes frame(8, 0);
     frame[0] = static_cast<std::uint8_t>(0xC1 | unused << 2);
-    if (with_crc_) put16(&frame[1], sdo_block::checksum(value_));
+    if (with_crc_) put16(&frame[1], sdo_block::compute_checksum(value_));
     out.push_back(std::move(frame));
   }
 
@@ -123,7 +123,8 @@ class BlockDownload {
   std::uint32_t finish(std::span<const std::uint8_t> request, Bytes& value) {
     if ((request[0] & 0xE3) != 0xC1) return abort_code::command;
     value_.erase(value_.end() - (request[0] >> 2 & 7), value_.end());
-    if (with_crc_ && sdo_block::checksum(value_) != get16(&request[1])) return abort_code::checksum;
+    if (with_crc_ && sdo_block::compute_checksum(value_) != get16(&request[1]))
+      return abort_code::checksum;
     if (announced_ && *announced_ != value_.size()) return abort_code::wrong_length;
     value = std::move(value_);
     return abort_code::none;

@@ -28,12 +28,12 @@ class SdoServer {
     if (std::holds_alternative<std::monostate>(transfer_)) at_ = {};  // a segment names none
     const std::uint32_t abort = serve(request, room, out);
     if (abort == abort_code::none) return;
-    Bytes reply = head(kAbort, at_);
+    Bytes reply = make_header(kAbort, at_);
     put32(&reply[4], abort);
     begin();
     out.push_back(std::move(reply));
   }
-  static bool aborts(const Bytes& reply) { return reply[0] == kAbort; }
+  static bool is_abort(const Bytes& reply) { return reply[0] == kAbort; }
 
  private:
   using Request = std::span<const std::uint8_t>;
@@ -53,7 +53,7 @@ class SdoServer {
   bool in_mailbox() const { return carrier_ == Carrier::mailbox; }
   std::size_t largest() const { return in_mailbox() ? 0x10000 : 256; }  // bytes of a download
 
-  static Bytes head(std::uint8_t command, const SdoObject& at) {
+  static Bytes make_header(std::uint8_t command, const SdoObject& at) {
     Bytes out(8, 0);
     out[0] = command;
     put16(&out[1], at.index);
@@ -109,7 +109,8 @@ class SdoServer {
     const std::size_t size = data.size();
     const bool expedited = size >= 1 && size <= 4;
     const auto unused = static_cast<std::uint8_t>(expedited ? (4 - size) << 2 : 0);
-    Bytes reply = head(static_cast<std::uint8_t>((expedited ? 0x43 | unused : 0x41) | echo()), at_);
+    Bytes reply =
+        make_header(static_cast<std::uint8_t>((expedited ? 0x43 | unused : 0x41) | echo()), at_);
     if (expedited) {
       std::copy(data.begin(), data.end(), reply.begin() + 4);
     } else {
@@ -153,7 +154,7 @@ class SdoServer {
       abort = begin_full_download(request, sized);
     }
     if (abort) return abort;
-    out.push_back(head(static_cast<std::uint8_t>(0x60 | echo()), at_));
+    out.push_back(make_header(static_cast<std::uint8_t>(0x60 | echo()), at_));
     return abort_code::none;
   }
   // The first message holds all of it, or segments follow.
@@ -203,7 +204,7 @@ class SdoServer {
     if (abort) return abort;
     const std::uint8_t segments = request[4];
     if (!segments || segments > sdo_block::kMost) return abort_code::block_size;
-    Bytes reply = head(0xC6, at_);
+    Bytes reply = make_header(0xC6, at_);
     put32(&reply[4], static_cast<std::uint32_t>(value.size()));
     transfer_.emplace<BlockUpload>(std::move(value), segments, (request[0] & 4) != 0);
     out.push_back(std::move(reply));
@@ -221,7 +222,7 @@ class SdoServer {
     if (request[0] & 2) announced = get32(&request[4]);
     if (announced && *announced > largest()) return abort_code::memory;
     transfer_.emplace<BlockDownload>(announced, largest(), (request[0] & 4) != 0);
-    Bytes reply = head(0xA4, at_);
+    Bytes reply = make_header(0xA4, at_);
     reply[4] = sdo_block::kMost;
     out.push_back(std::move(reply));
     return abort_code::none;

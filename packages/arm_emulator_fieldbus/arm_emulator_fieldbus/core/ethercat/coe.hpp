@@ -45,7 +45,7 @@ class Coe {
       server_.answer(request.subspan(2), room - 2, replies);
       for (const Bytes& one : replies)
         out.push_back(
-            with_header(fieldbus::SdoServer::aborts(one) ? kSdoRequest : kSdoResponse, one));
+            add_header(fieldbus::SdoServer::is_abort(one) ? kSdoRequest : kSdoResponse, one));
       return MailboxError::none;
     }
     if (service == kSdoInformation) {
@@ -54,7 +54,7 @@ class Coe {
       if (abort != 0) {
         Bytes error = {kInformationError, 0, 0, 0, 0, 0, 0, 0};
         put32(&error[4], abort);
-        out.push_back(with_header(kSdoInformation, error));
+        out.push_back(add_header(kSdoInformation, error));
       }
       return MailboxError::none;
     }
@@ -66,14 +66,14 @@ class Coe {
     Bytes body(8, 0);
     put16(&body[0], code);
     body[2] = error_register;
-    return with_header(kEmergency, body);
+    return add_header(kEmergency, body);
   }
 
  private:
   static constexpr std::uint8_t kEmergency = 1, kSdoRequest = 2, kSdoResponse = 3,
                                 kSdoInformation = 8, kInformationError = 7;
 
-  static Bytes with_header(std::uint8_t service, const Bytes& body) {
+  static Bytes add_header(std::uint8_t service, const Bytes& body) {
     Bytes out = {0, static_cast<std::uint8_t>(service << 4)};
     out.insert(out.end(), body.begin(), body.end());
     return out;
@@ -107,7 +107,7 @@ class Coe {
       const auto from = body.begin() + static_cast<std::ptrdiff_t>(at);
       const std::size_t size = std::min(each, body.size() - at);
       message.insert(message.end(), from, from + static_cast<std::ptrdiff_t>(size));
-      out.push_back(with_header(kSdoInformation, message));
+      out.push_back(add_header(kSdoInformation, message));
     }
   }
   static void append16(Bytes& out, std::uint16_t value) {
@@ -119,7 +119,7 @@ class Coe {
   }
 
   // 1: all objects, 2 and 3: those that can be mapped to receive and to transmit, 4 and 5: none.
-  Bytes objects_of(std::uint16_t kind) const {
+  Bytes list_objects(std::uint16_t kind) const {
     Bytes out;
     for (const std::uint16_t index : dictionary_.indices()) {
       bool there = kind == 1;
@@ -136,9 +136,9 @@ class Coe {
     append16(body, kind);
     if (kind == 0) {
       for (std::uint16_t one = 1; one <= 5; ++one)
-        append16(body, static_cast<std::uint16_t>(objects_of(one).size() / 2));
+        append16(body, static_cast<std::uint16_t>(list_objects(one).size() / 2));
     } else {
-      const Bytes indices = objects_of(kind);
+      const Bytes indices = list_objects(kind);
       body.insert(body.end(), indices.begin(), indices.end());
     }
     send(2, body, room, out);
@@ -175,7 +175,7 @@ class Coe {
     body.push_back(info);
     append16(body, static_cast<std::uint16_t>(entry.type));
     append16(body, static_cast<std::uint16_t>(size ? entry.bits : 8 * text.size()));
-    append16(body, rights(entry));
+    append16(body, find_access_rights(entry));
     const std::int64_t values[] = {entry.standard, entry.least, entry.most};
     for (int k = 0; k < 3; ++k)
       if (info & (0x10 << k))
@@ -187,7 +187,7 @@ class Coe {
     return 0;
   }
   // In PREOP, SAFEOP, OP: reading (bits 0 to 2), writing (3 to 5); mapping (6, 7).
-  static std::uint16_t rights(const Entry& entry) {
+  static std::uint16_t find_access_rights(const Entry& entry) {
     const bool mapping = (entry.index >= 0x1600 && entry.index < 0x1c00) || entry.index == 0x1c12 ||
                          entry.index == 0x1c13;
     unsigned out = entry.readable() ? 0x07 : 0;

@@ -41,24 +41,25 @@ class DistributedClock {
   void pass(const Passage& now) { passage_ = now; }
 
   // Puts the time into the registers that a master is about to read.
-  void before_read(std::size_t address, std::size_t size) {
-    if (!overlap(address, size, kSystemTime, 0x09b0 - kSystemTime)) return;
+  void prepare_read(std::size_t address, std::size_t size) {
+    if (!is_overlapping(address, size, kSystemTime, 0x09b0 - kSystemTime)) return;
     const std::uint64_t now = system_time();
     memory_.put64(kSystemTime, now);
     const bool pending = sync0() && static_cast<std::int64_t>(start_ - now) > 0;
     memory_.put8(kFirstPending, pending ? 1 : 0);
-    if (sync0() && overlap(address, size, kStart, 8)) memory_.put64(kStart, next_pulse(now));
+    if (sync0() && is_overlapping(address, size, kStart, 8))
+      memory_.put64(kStart, find_next_pulse(now));
   }
 
-  void after_write(std::size_t address, std::size_t size) {
-    if (overlap(address, size, kReceived, 4)) latch();
-    if (overlap(address, size, kSystemTime, 4)) steer(size);
-    if (overlap(address, size, kStart, 8)) start_ = memory_.get64(kStart);
-    if (overlap(address, size, kSpeedStart, 2)) memory_.put32(kDifference, 0);
+  void handle_write(std::size_t address, std::size_t size) {
+    if (is_overlapping(address, size, kReceived, 4)) latch_time();
+    if (is_overlapping(address, size, kSystemTime, 4)) adjust_clock(size);
+    if (is_overlapping(address, size, kStart, 8)) start_ = memory_.get64(kStart);
+    if (is_overlapping(address, size, kSpeedStart, 2)) memory_.put32(kDifference, 0);
   }
 
   // Read-only registers of the block, and those that a running pulse generator locks.
-  bool locked(std::size_t address) const {
+  bool is_locked(std::size_t address) const {
     return (address >= 0x0904 && address < kSystemTime) ||
            (address >= kUnitReceived && address < kOffset) ||
            (address >= kDifference && address < kSpeedStart) ||
@@ -66,8 +67,9 @@ class DistributedClock {
   }
 
   // Whether a write concerns what SYNC0 does.
-  static bool sets_pulses(std::size_t address, std::size_t size) {
-    return overlap(address, size, kActivation, 1) || overlap(address, size, kCycle, 4);
+  static bool is_pulse_setting(std::size_t address, std::size_t size) {
+    return is_overlapping(address, size, kActivation, 1) ||
+           is_overlapping(address, size, kCycle, 4);
   }
   bool sync0() const { return (memory_.get8(kActivation) & 3) == 3; }
   std::uint32_t sync0_cycle() const { return memory_.get32(kCycle); }  // ns
@@ -76,7 +78,7 @@ class DistributedClock {
   std::uint64_t local(std::int64_t time) const { return static_cast<std::uint64_t>(time + ahead_); }
   std::uint64_t system_time() const { return local(passage_.there) + memory_.get64(kOffset); }
 
-  void latch() {
+  void latch_time() {
     memory_.put32(kReceived, static_cast<std::uint32_t>(local(passage_.there)));
     const std::int64_t back = passage_.last ? 0 : passage_.back;
     memory_.put32(kReceived + 4, back ? static_cast<std::uint32_t>(local(back)) : 0);
@@ -85,7 +87,7 @@ class DistributedClock {
   }
 
   // The reference clock's time has arrived: adjust the clock at once, by at most this much.
-  void steer(std::size_t size) {
+  void adjust_clock(std::size_t size) {
     constexpr std::int64_t kMaxStep = 1000;  // ns
     const std::uint64_t here = system_time();
     std::uint64_t reference = memory_.get64(kSystemTime) + memory_.get32(kDelay);
@@ -99,7 +101,7 @@ class DistributedClock {
     ahead_ -= std::clamp(difference, -kMaxStep, kMaxStep);
   }
 
-  std::uint64_t next_pulse(std::uint64_t now) const {
+  std::uint64_t find_next_pulse(std::uint64_t now) const {
     const std::uint32_t cycle = sync0_cycle();
     const auto since = static_cast<std::int64_t>(now - start_);
     if (since < 0 || cycle == 0) return start_;

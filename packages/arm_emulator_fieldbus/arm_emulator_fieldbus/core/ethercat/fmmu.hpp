@@ -31,7 +31,7 @@ class Fmmu {
   bool writes() const { return active_ && length_ > 0 && type_ & 2; }
 
   // The share of a datagram at `address` with `size` bytes; size 0: no share.
-  Mapped overlapping(std::uint32_t address, std::size_t size) const {
+  Mapped find_overlap(std::uint32_t address, std::size_t size) const {
     const std::uint64_t first = std::uint64_t{logical_} * 8 + first_bit_;
     const std::uint64_t last = (std::uint64_t{logical_} + length_ - 1) * 8 + last_bit_;
     const std::uint64_t begin = std::max(first, std::uint64_t{address} * 8);

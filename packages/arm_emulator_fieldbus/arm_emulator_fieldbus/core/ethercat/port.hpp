@@ -56,7 +56,7 @@ inline int open_interface(const char* name) {
   return descriptor;
 }
 
-inline std::int64_t monotonic() {
+inline std::int64_t read_clock() {
   timespec t;
   clock_gettime(CLOCK_MONOTONIC, &t);
   return t.tv_sec * 1'000'000'000LL + t.tv_nsec;
@@ -68,9 +68,9 @@ class Port {
   explicit Port(Segment& segment) : segment_(segment) {}
 
   int serve(int descriptor, std::int64_t duration) {
-    const std::int64_t end = monotonic() + duration;
-    if (due_ == 0) due_ = monotonic() + segment_.period_ns();
-    for (std::int64_t now; (now = monotonic()) < end;) {
+    const std::int64_t end = read_clock() + duration;
+    if (due_ == 0) due_ = read_clock() + segment_.period_ns();
+    for (std::int64_t now; (now = read_clock()) < end;) {
       if (segment_.diverged()) return 0;
       const bool paced = !segment_.lockstep() || (!up_ && segment_.exchanges());
       if (!paced) due_ = now + segment_.period_ns();
@@ -105,7 +105,7 @@ class Port {
     const ssize_t size = recv(descriptor, buffer_, sizeof buffer_, MSG_TRUNC);
     if (size < 0) return errno == EAGAIN || errno == EINTR || errno == ENETDOWN ? 0 : -errno;
     const auto length = std::min(static_cast<std::size_t>(size), sizeof buffer_);
-    const std::size_t back = segment_.pass({buffer_, length}, monotonic());
+    const std::size_t back = segment_.pass({buffer_, length}, read_clock());
     if (back > 0 && send(descriptor, buffer_, back, 0) < 0 && errno != ENETDOWN &&
         errno != EAGAIN && errno != ENOBUFS && errno != EINTR && errno != EMSGSIZE)
       return -errno;

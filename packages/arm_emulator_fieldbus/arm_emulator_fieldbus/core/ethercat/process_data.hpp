@@ -26,13 +26,13 @@ class ProcessData {
   }
   std::size_t size() const { return bytes_; }
 
-  void to_drive(const std::uint8_t* buffer) const {
+  void write_outputs(const std::uint8_t* buffer) const {
     for (const fieldbus::Mapped& item : items()) {
       drive_.write_mapped(item, reinterpret_cast<const std::byte*>(buffer));
       buffer += bytes(item);
     }
   }
-  void from_drive(std::uint8_t* buffer) const {
+  void read_inputs(std::uint8_t* buffer) const {
     for (const fieldbus::Mapped& item : items()) {
       drive_.read_mapped(item, reinterpret_cast<std::byte*>(buffer));
       buffer += bytes(item);

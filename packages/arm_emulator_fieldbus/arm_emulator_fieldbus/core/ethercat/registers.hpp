@@ -69,7 +69,8 @@ constexpr auto kWritableBytes = [] {
   return out;
 }();
 
-inline bool overlap(std::size_t address, std::size_t size, std::size_t begin, std::size_t length) {
+inline bool is_overlapping(std::size_t address, std::size_t size, std::size_t begin,
+                           std::size_t length) {
   return address < begin + length && begin < address + size;
 }
 

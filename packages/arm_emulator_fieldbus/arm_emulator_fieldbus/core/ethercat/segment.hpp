@@ -129,11 +129,11 @@ class Segment {
   }
   // A diverged machine keeps its state.
   int step(std::int64_t time) {
-    for (const auto& slave : slaves_) slave->before_period(time);
+    for (const auto& slave : slaves_) slave->begin_period(time);
     const int result = drives_period(arm_.all);
     figures_.diverged = result != ARM_OK;
     ++figures_.periods;
-    for (const auto& slave : slaves_) slave->after_period();
+    for (const auto& slave : slaves_) slave->finish_period();
     return result;
   }
 
@@ -154,12 +154,12 @@ class Segment {
     if (address != kStation)
       datagram.set_position(static_cast<std::uint16_t>(datagram.position() + 1));
     if (is_multiple)
-      access(slave, datagram, ours, !ours, false);
+      exchange_data(slave, datagram, ours, !ours, false);
     else if (ours)
-      access(slave, datagram, reads, writes, address == kAll);
+      exchange_data(slave, datagram, reads, writes, address == kAll);
   }
   // Write the datagram's data, and return the data read before, added to them if `add`.
-  static void access(Slave& slave, Datagram& datagram, bool reads, bool writes, bool add) {
+  static void exchange_data(Slave& slave, Datagram& datagram, bool reads, bool writes, bool add) {
     std::array<std::uint8_t, 2048> in;
     const auto data = datagram.data();
     std::copy(data.begin(), data.end(), in.begin());

@@ -20,7 +20,7 @@ constexpr std::uint8_t kMailboxOutControl = 0x26, kMailboxInControl = 0x22, kOut
 }  // namespace area
 
 // Content of a drive's EEPROM; its process data objects are those of its first mapping.
-inline std::vector<std::uint8_t> sii_image(const fieldbus::Values& of) {
+inline std::vector<std::uint8_t> make_sii_image(const fieldbus::Values& of) {
   std::vector<std::uint8_t> out(0x80, 0);
   const auto put = [&out](std::size_t word, std::uint16_t value) { put16(&out[2 * word], value); };
   put(0x00, 0x0005);  // a process data interface of a microcontroller, as at register 0x0140
@@ -168,8 +168,8 @@ class Sii {
   }
 
   // The master has written to the registers: carry out the command that may be among it.
-  void after_write(std::size_t address, std::size_t size) {
-    if (!overlap(address, size, kControl, 2)) return;
+  void handle_write(std::size_t address, std::size_t size) {
+    if (!is_overlapping(address, size, kControl, 2)) return;
     const std::uint16_t control = memory_.get16(kControl);
     const unsigned command = (control >> 8) & 7u;
     const std::uint32_t at = memory_.get32(kAddress);

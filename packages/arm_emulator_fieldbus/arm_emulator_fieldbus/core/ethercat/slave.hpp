@@ -1,5 +1,5 @@
 // One slave: a slave controller with a drive behind it. Datagrams read and write its memory;
-// `after_read` and `after_write` react.
+// `handle_read` and `handle_write` react.
 #pragma once
 
 #include <algorithm>
@@ -34,7 +34,7 @@ class Slave {
         managers_(memory_),
         outputs_(drive, ProcessData::Way::outputs),
         inputs_(drive, ProcessData::Way::inputs),
-        sii_(memory_, sii_image(drive.values())),
+        sii_(memory_, make_sii_image(drive.values())),
         clock_(memory_, ahead()),
         watchdog_(memory_),
         mailbox_(managers_, drive),
@@ -71,8 +71,8 @@ class Slave {
 
   // Read memory into `out`, by bits added to what is there if `add`; whether it was permitted.
   bool read(std::size_t address, std::span<std::uint8_t> out, bool add) {
-    if (address >= kMemory || !managers_.permits(address, out.size(), false)) return false;
-    before_read(address, out.size());
+    if (address >= kMemory || !managers_.can_access(address, out.size(), false)) return false;
+    prepare_read(address, out.size());
     const std::size_t size = std::min(out.size(), kMemory - address);
     for (std::size_t k = 0; k < size; ++k) {
       const std::uint8_t byte = memory_.get8(address + k);
@@ -80,11 +80,11 @@ class Slave {
     }
     if (!add)
       std::fill(out.begin() + static_cast<std::ptrdiff_t>(size), out.end(), std::uint8_t{0});
-    after_read(address, size);
+    handle_read(address, size);
     return true;
   }
   bool write(std::size_t address, std::span<const std::uint8_t> in) {
-    if (address >= kMemory || !managers_.permits(address, in.size(), true)) return false;
+    if (address >= kMemory || !managers_.can_access(address, in.size(), true)) return false;
     const std::size_t size = std::min(in.size(), kMemory - address);
     bool any = false;
     std::array<std::uint8_t, 8 * kSyncManagers> guards;
@@ -94,13 +94,13 @@ class Slave {
       if (!kWritableBytes[at]) continue;
       any = true;
       if (at >= reg::kSyncManager && at < reg::kSyncManager + guards.size()) {
-        if (!managers_.locked(at)) guards[at - reg::kSyncManager] = in[k];
-      } else if (at < reg::kDc || at >= 0x0a00 || !clock_.locked(at)) {
+        if (!managers_.is_locked(at)) guards[at - reg::kSyncManager] = in[k];
+      } else if (at < reg::kDc || at >= 0x0a00 || !clock_.is_locked(at)) {
         memory_.put8(at, in[k]);
       }
     }
     std::copy(guards.begin(), guards.end(), memory_.at(reg::kSyncManager));
-    if (any) after_write(address, in.first(size));
+    if (any) handle_write(address, in.first(size));
     return any;
   }
 
@@ -130,20 +130,20 @@ class Slave {
   bool written() const { return written_; }
   const DistributedClock& distributed_clock() const { return clock_; }
 
-  void before_period(std::int64_t time) {
+  void begin_period(std::int64_t time) {
     now_ = time;
-    if (al_.state() == State::op && managers_.triggers_watchdog(kOutputs) &&
-        watchdog_.expires(time)) {
-      fall(State::safeop, AlCode::watchdog);
+    if (al_.state() == State::op && managers_.is_watchdog_trigger(kOutputs) &&
+        watchdog_.has_expired(time)) {
+      fall_back(State::safeop, AlCode::watchdog);
       drive_.lost(kWatchdogError);
       ++expired_;
     }
-    if (al_.state() == State::op && written_) outputs_.to_drive(managers_.area(kOutputs));
+    if (al_.state() == State::op && written_) outputs_.write_outputs(managers_.area(kOutputs));
   }
-  void after_period() {
+  void finish_period() {
     written_ = read_ = false;
     if (exchanges() && inputs_.size() > 0) {
-      inputs_.from_drive(managers_.area(kInputs));
+      inputs_.read_inputs(managers_.area(kInputs));
       managers_.turn_buffer(kInputs);
     }
     const std::uint16_t error = error_code();
@@ -180,7 +180,7 @@ class Slave {
   // Outputs: bits of a datagram go to the memory. Other bits of a byte are kept.
   bool take(const Fmmu& unit, std::uint32_t address, std::span<const std::uint8_t> data) {
     Shared share;
-    if (!shared(unit.overlapping(address, data.size()), share)) return false;
+    if (!shared(unit.find_overlap(address, data.size()), share)) return false;
     std::copy_n(memory_.at(share.first), share.size, share.bytes.begin());
     copy_bits(data.data(), share.bits.in_datagram, share.bytes.data(), share.bit, share.bits.size);
     return write(share.first, std::span(share.bytes).first(share.size));
@@ -188,7 +188,7 @@ class Slave {
   // Inputs: the other way round.
   bool give(const Fmmu& unit, std::uint32_t address, std::span<std::uint8_t> data) {
     Shared share;
-    if (!shared(unit.overlapping(address, data.size()), share)) return false;
+    if (!shared(unit.find_overlap(address, data.size()), share)) return false;
     if (!read(share.first, std::span(share.bytes).first(share.size), false)) return false;
     copy_bits(share.bytes.data(), share.bit, data.data(), share.bits.in_datagram, share.bits.size);
     return true;
@@ -208,16 +208,16 @@ class Slave {
     return bits.size > 0 && out.first + out.size <= kMemory;
   }
 
-  void before_read(std::size_t address, std::size_t size) {
+  void prepare_read(std::size_t address, std::size_t size) {
     if (address >= kRamBegin) return;
-    clock_.before_read(address, size);
-    if (overlap(address, size, reg::kDlStatus, 2)) {
+    clock_.prepare_read(address, size);
+    if (is_overlapping(address, size, reg::kDlStatus, 2)) {
       const bool closed = onward() != Onward::next;
       // Ports 2 and 3 do not exist; port 0 leads to the master.
       memory_.put16(reg::kDlStatus, static_cast<std::uint16_t>(0x5217 | (next_ ? 0x20 : 0) |
                                                                (closed ? 0x0400 : 0x0800)));
     }
-    if (overlap(address, size, reg::kEvents, 2)) memory_.put16(reg::kEvents, all_events());
+    if (is_overlapping(address, size, reg::kEvents, 2)) memory_.put16(reg::kEvents, all_events());
   }
   std::uint16_t all_events() const {
     unsigned events = memory_.get16(reg::kEvents) & 0x000fu;
@@ -225,9 +225,9 @@ class Slave {
       if (managers_.full(k)) events |= static_cast<unsigned>(event::kSyncManager0) << k;
     return static_cast<std::uint16_t>(events);
   }
-  void after_read(std::size_t address, std::size_t size) {
+  void handle_read(std::size_t address, std::size_t size) {
     managers_.close(address, size, [this](int k) {
-      if (managers_.written_by_master(k)) return;
+      if (managers_.is_written_by_master(k)) return;
       if (managers_.mailbox(k)) {
         if (k == Mailbox::kIn)
           mailbox_.read();
@@ -236,15 +236,15 @@ class Slave {
       }
       if (k == kInputs) read_ = true;
     });
-    if (overlap(address, size, reg::kAlStatus, 2)) {
+    if (is_overlapping(address, size, reg::kAlStatus, 2)) {
       const unsigned rest = memory_.get16(reg::kEvents) & ~unsigned{event::kAlStatus};
       memory_.put16(reg::kEvents, static_cast<std::uint16_t>(rest));
     }
   }
-  void after_write(std::size_t address, std::span<const std::uint8_t> in) {
+  void handle_write(std::size_t address, std::span<const std::uint8_t> in) {
     const std::size_t size = in.size();
     managers_.close(address, size, [this](int k) {
-      if (!managers_.written_by_master(k)) return;
+      if (!managers_.is_written_by_master(k)) return;
       if (k == Mailbox::kOut && managers_.mailbox(k))
         mailbox_.written();
       else if (managers_.mailbox(k))
@@ -254,19 +254,20 @@ class Slave {
       if (k == kOutputs) take_outputs();
     });
     if (address >= kRamBegin) return;
-    if (overlap(address, size, reg::kErrors, reg::kErrorsEnd - reg::kErrors))
+    if (is_overlapping(address, size, reg::kErrors, reg::kErrorsEnd - reg::kErrors))
       memory_.fill(reg::kErrors, reg::kErrorsEnd - reg::kErrors);  // any write clears them
-    if (overlap(address, size, reg::kWatchdogCount, 2)) memory_.put16(reg::kWatchdogCount, 0);
-    sii_.after_write(address, size);
-    if (overlap(address, size, reg::kSyncManager, 8 * ethercat::kSyncManagers)) {
+    if (is_overlapping(address, size, reg::kWatchdogCount, 2))
+      memory_.put16(reg::kWatchdogCount, 0);
+    sii_.handle_write(address, size);
+    if (is_overlapping(address, size, reg::kSyncManager, 8 * ethercat::kSyncManagers)) {
       managers_.configure(address, size);
-      mailbox_.after_write();
+      mailbox_.handle_write();
       check_guards();
     }
-    clock_.after_write(address, size);
-    if (DistributedClock::sets_pulses(address, size)) check_pulses();
-    if (overlap(address, size, reg::kReset, 1)) handle_reset(in[reg::kReset - address]);
-    if (overlap(address, size, reg::kAlControl, 1)) {
+    clock_.handle_write(address, size);
+    if (DistributedClock::is_pulse_setting(address, size)) check_pulses();
+    if (is_overlapping(address, size, reg::kReset, 1)) handle_reset(in[reg::kReset - address]);
+    if (is_overlapping(address, size, reg::kAlControl, 1)) {
       al_.request([this](State to) { return enter(to); });
       serve_areas();
     }
@@ -285,7 +286,7 @@ class Slave {
       watchdog_.trigger(now_);
       return AlCode::none;
     }
-    if (to == State::safeop && from == State::preop) return to_safeop();
+    if (to == State::safeop && from == State::preop) return enter_safeop();
     if (to == State::preop && from == State::init) {
       if (!mailboxes_fit()) return AlCode::mailbox;
       mailbox_.begin();
@@ -294,17 +295,18 @@ class Slave {
     leave(from, to);
     return AlCode::none;
   }
-  AlCode to_safeop() {
+  AlCode enter_safeop() {
     outputs_.compile();
     inputs_.compile();
-    if (!fits(kOutputs, area::kOutputs, area::kInputs, outputs_.size(), true))
+    if (!is_valid_buffer(kOutputs, area::kOutputs, area::kInputs, outputs_.size(), true))
       return AlCode::outputs;
-    if (!fits(kInputs, area::kInputs, 0x1800, inputs_.size(), false)) return AlCode::inputs;
+    if (!is_valid_buffer(kInputs, area::kInputs, 0x1800, inputs_.size(), false))
+      return AlCode::inputs;
     if (!pulses_fit()) return AlCode::syn_c0_cycle;
     report_pulses();
     drive_.lock_mapping(true);
     written_ = read_ = false;
-    if (inputs_.size() > 0) inputs_.from_drive(managers_.area(kInputs));
+    if (inputs_.size() > 0) inputs_.read_inputs(managers_.area(kInputs));
     return AlCode::none;
   }
   // One or more steps down.
@@ -314,7 +316,7 @@ class Slave {
     if (from == State::safeop || from == State::op) drive_.lock_mapping(false);
   }
   // An error takes it down.
-  void fall(State to, AlCode why) {
+  void fall_back(State to, AlCode why) {
     al_.set(to, why);
     serve_areas();
   }
@@ -332,18 +334,19 @@ class Slave {
 
   bool mailboxes_fit() const {
     const auto sound = [this](int k, std::size_t start, bool by_master) {
-      return managers_.switched_on(k) && managers_.mailbox(k) &&
-             managers_.written_by_master(k) == by_master && managers_.start(k) == start &&
+      return managers_.is_switched_on(k) && managers_.mailbox(k) &&
+             managers_.is_written_by_master(k) == by_master && managers_.start(k) == start &&
              managers_.length(k) >= 34 && managers_.length(k) <= area::kMailbox;
     };
     return sound(Mailbox::kOut, area::kMailboxOut, true) &&
            sound(Mailbox::kIn, area::kMailboxIn, false);
   }
   // Buffers of process data: three of them lie one after the other.
-  bool fits(int k, std::size_t start, std::size_t end, std::size_t size, bool by_master) const {
-    if (size == 0) return !managers_.switched_on(k) || managers_.length(k) == 0;
-    return managers_.switched_on(k) && !managers_.mailbox(k) &&
-           managers_.written_by_master(k) == by_master && managers_.start(k) == start &&
+  bool is_valid_buffer(int k, std::size_t start, std::size_t end, std::size_t size,
+                       bool by_master) const {
+    if (size == 0) return !managers_.is_switched_on(k) || managers_.length(k) == 0;
+    return managers_.is_switched_on(k) && !managers_.mailbox(k) &&
+           managers_.is_written_by_master(k) == by_master && managers_.start(k) == start &&
            managers_.length(k) == size && start + 3 * size <= end;
   }
   // A master that changes a sync manager in use resets its dependents.
@@ -352,14 +355,15 @@ class Slave {
     if (state == State::init) return;
     if (!mailboxes_fit()) {
       leave(state, State::init);
-      fall(State::init, AlCode::mailbox);
+      fall_back(State::init, AlCode::mailbox);
       return;
     }
     if (!exchanges()) return;
-    const bool out = fits(kOutputs, area::kOutputs, area::kInputs, outputs_.size(), true);
-    if (out && fits(kInputs, area::kInputs, 0x1800, inputs_.size(), false)) return;
+    const bool out =
+        is_valid_buffer(kOutputs, area::kOutputs, area::kInputs, outputs_.size(), true);
+    if (out && is_valid_buffer(kInputs, area::kInputs, 0x1800, inputs_.size(), false)) return;
     leave(state, State::preop);
-    fall(State::preop, out ? AlCode::inputs : AlCode::outputs);
+    fall_back(State::preop, out ? AlCode::inputs : AlCode::outputs);
   }
 
   // An exchange stands for whole servo periods.
@@ -371,7 +375,7 @@ class Slave {
     if (!exchanges()) return;
     if (pulses_fit()) return report_pulses();
     leave(al_.state(), State::preop);
-    fall(State::preop, AlCode::syn_c0_cycle);
+    fall_back(State::preop, AlCode::syn_c0_cycle);
   }
 
   // Targets come with SYNC0, if it is on: the drive interpolates over its cycle, and the objects of
@@ -402,7 +406,7 @@ class Slave {
     sii_.reload();
     clock_.begin(ahead());
     watchdog_.begin();
-    fall(State::init, AlCode::none);
+    fall_back(State::init, AlCode::none);
   }
 
   std::uint16_t error_code() const {

@@ -13,22 +13,22 @@ class SyncManagers {
 
   // Each side has a switch: the master switches an area on, the slave serves it in the states that
   // need it. An area that is on and not served is closed: it counts in no working counter.
-  bool switched_on(int k) const { return memory_.get8(at(k) + 6) & 1; }
-  bool served(int k) const { return !(memory_.get8(at(k) + 7) & 1); }
-  bool enabled(int k) const { return switched_on(k) && served(k); }
+  bool is_switched_on(int k) const { return memory_.get8(at(k) + 6) & 1; }
+  bool is_served(int k) const { return !(memory_.get8(at(k) + 7) & 1); }
+  bool is_enabled(int k) const { return is_switched_on(k) && is_served(k); }
   void serve(int k, bool on) {
-    if (on == served(k)) return;
+    if (on == is_served(k)) return;
     const std::uint8_t rest = memory_.get8(at(k) + 7) & 0xfe;
     memory_.put8(at(k) + 7, static_cast<std::uint8_t>(rest | (on ? 0 : 1)));
     if (!on) empty(k);
   }
   bool mailbox(int k) const { return (memory_.get8(at(k) + 4) & 3) == 2; }
-  bool written_by_master(int k) const { return (memory_.get8(at(k) + 4) & 0x0c) == 4; }
-  bool triggers_watchdog(int k) const { return memory_.get8(at(k) + 4) & 0x40; }
-  bool repeat_requested(int k) const { return memory_.get8(at(k) + 6) & 2; }
+  bool is_written_by_master(int k) const { return (memory_.get8(at(k) + 4) & 0x0c) == 4; }
+  bool is_watchdog_trigger(int k) const { return memory_.get8(at(k) + 4) & 0x40; }
+  bool is_repeat_requested(int k) const { return memory_.get8(at(k) + 6) & 2; }
   void acknowledge_repeat(int k) {
     const std::uint8_t rest = memory_.get8(at(k) + 7) & 0xfd;
-    memory_.put8(at(k) + 7, static_cast<std::uint8_t>(rest | (repeat_requested(k) ? 2 : 0)));
+    memory_.put8(at(k) + 7, static_cast<std::uint8_t>(rest | (is_repeat_requested(k) ? 2 : 0)));
   }
   std::size_t start(int k) const { return memory_.get16(at(k)); }
   std::size_t length(int k) const { return memory_.get16(at(k) + 2); }
@@ -49,11 +49,11 @@ class SyncManagers {
 
   // Whether the master may read (write) these bytes now. A mailbox and a buffer are opened with
   // their first byte.
-  bool permits(std::size_t address, std::size_t size, bool write) {
+  bool can_access(std::size_t address, std::size_t size, bool write) {
     for (int k = 0; k < kSyncManagers; ++k) {
-      if (!switched_on(k) || !overlap(address, size, start(k), length(k))) continue;
-      if (!served(k)) return false;
-      if (written_by_master(k) != write) return false;
+      if (!is_switched_on(k) || !is_overlapping(address, size, start(k), length(k))) continue;
+      if (!is_served(k)) return false;
+      if (is_written_by_master(k) != write) return false;
       if (mailbox(k) && full(k) == write) return false;
       if (address <= start(k)) opened_[k] = true;
       if (!opened_[k]) return false;
@@ -66,7 +66,7 @@ class SyncManagers {
   void close(std::size_t address, std::size_t size, Done done) {
     for (int k = 0; k < kSyncManagers; ++k) {
       const std::size_t last = start(k) + length(k) - 1;
-      if (!enabled(k) || length(k) == 0 || last < address || last >= address + size) continue;
+      if (!is_enabled(k) || length(k) == 0 || last < address || last >= address + size) continue;
       opened_[k] = false;
       done(k);
     }
@@ -75,15 +75,15 @@ class SyncManagers {
   // The master has written to these registers: an area that is switched on begins empty.
   void configure(std::size_t address, std::size_t size) {
     for (int k = 0; k < kSyncManagers; ++k)
-      if (overlap(address, size, at(k), 8) && !switched_on(k)) empty(k);
+      if (is_overlapping(address, size, at(k), 8) && !is_switched_on(k)) empty(k);
   }
 
   // Whether a master cannot change this byte of the registers now: status, the slave's own bytes,
   // and the area of an active sync manager.
-  bool locked(std::size_t address) const {
+  bool is_locked(std::size_t address) const {
     const std::size_t byte = (address - reg::kSyncManager) % 8;
     const int k = static_cast<int>((address - reg::kSyncManager) / 8);
-    return byte == 5 || byte == 7 || (byte < 5 && switched_on(k));
+    return byte == 5 || byte == 7 || (byte < 5 && is_switched_on(k));
   }
 
  private:

@@ -24,7 +24,7 @@ class Watchdog {
     memory_.put16(reg::kWatchdogStatus, 1);
   }
   // Whether it has just run out.
-  bool expires(std::int64_t now) {
+  bool has_expired(std::int64_t now) {
     if (!(memory_.get16(reg::kWatchdogStatus) & 1) || limit() == 0 || now - newest_ <= limit())
       return false;
     memory_.put16(reg::kWatchdogStatus, 0);

@@ -19,7 +19,7 @@ class CyclicPosition final : public Mode {
   }
   void run(Axis& axis) override {
     if (taken_ != axis.targets)
-      line_.aim(axis.inside(axis.target_position() + axis.values.get<0x60B0>()),
+      line_.aim(axis.clamp_position(axis.target_position() + axis.values.get<0x60B0>()),
                 axis.periods_per_target());
     taken_ = axis.targets;
     line_.advance(axis.dt, 1e-4 * axis.number<0x2002>());

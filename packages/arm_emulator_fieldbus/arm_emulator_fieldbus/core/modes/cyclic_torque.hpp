@@ -11,7 +11,7 @@ class CyclicTorque final : public Mode {
       .number = 10, .name = "cyclic torque", .loops = DRIVES_LOOP_TORQUE | DRIVES_LOOP_SPEED_LIMIT};
 
   void take_over(Axis& axis) override { axis.control_torque(); }
-  void go_on(Axis& axis, bool /*by_halt*/) override {
+  void resume(Axis& axis, bool /*by_halt*/) override {
     if (axis.demand.loop != Loop::torque) axis.control_torque();
   }
   void run(Axis& axis) override {

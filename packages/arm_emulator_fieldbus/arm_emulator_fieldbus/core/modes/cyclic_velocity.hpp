@@ -14,7 +14,7 @@ class CyclicVelocity final : public Mode {
   void run(Axis& axis) override {
     const std::int64_t asked = axis.values.get<0x60FF>() + axis.values.get<0x60B1>();
     axis.demand.loop = Loop::speed;
-    axis.demand.speed = axis.within_speed(asked, axis.motor_speed());
+    axis.demand.speed = axis.clamp_speed(asked, axis.motor_speed());
   }
   Offsets offsets(const Axis& axis) const override { return {0.0, axis.number<0x60B2>()}; }
   std::uint16_t status(const Axis&, const Situation& now) const override { return now.follows(); }

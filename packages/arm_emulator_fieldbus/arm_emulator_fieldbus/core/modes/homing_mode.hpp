@@ -15,12 +15,12 @@ class HomingMode final : public Mode {
 
   void hold(Axis&) override { homing_.interrupt(); }
   void take_over(Axis& axis) override { axis.control_speed(); }
-  void go_on(Axis&, bool /*by_halt*/) override {}
+  void resume(Axis&, bool /*by_halt*/) override {}
   void run(Axis& axis) override {
     const Measured& now = axis.measured;
     if (!(axis.word & control::start_homing))
       homing_.interrupt();
-    else if (axis.rises(control::start_homing) && !homing_.moves())
+    else if (axis.has_risen(control::start_homing) && !homing_.moves())
       homing_.start(static_cast<int>(axis.values.get<0x6098>()), now.counts, now.pulses);
     move(axis);
     const bool pressing = (axis.limited & SERVO_LIMITS_CURRENT) &&
@@ -30,10 +30,10 @@ class HomingMode final : public Mode {
     std::int64_t place = 0;
     if (!homing_.take(place)) return;
     axis.set_home(place);
-    axis.stand();
+    axis.hold_standstill();
   }
   double torque_limit(const Axis& axis) const override {
-    const bool presses = homing_.moves() && Homing::by_stop(axis.values.get<0x6098>());
+    const bool presses = homing_.moves() && Homing::is_by_stop(axis.values.get<0x6098>());
     return presses ? axis.number<0x2003>() : Mode::torque_limit(axis);
   }
   std::uint16_t status(const Axis& axis, const Situation& now) const override {
@@ -48,7 +48,7 @@ class HomingMode final : public Mode {
 
  private:
   void move(Axis& axis) const {
-    if (!homing_.moves() && axis.demand.speed == 0.0) return axis.stand();
+    if (!homing_.moves() && axis.demand.speed == 0.0) return axis.hold_standstill();
     const bool search = homing_.phase() == Homing::Phase::to_stop;
     const double requested = search ? axis.number<0x6099, 1>() : axis.number<0x6099, 2>();
     const double limit = axis.profile_speed(), a = axis.acceleration<0x609A>();

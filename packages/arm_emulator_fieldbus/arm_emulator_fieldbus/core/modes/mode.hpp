@@ -45,9 +45,9 @@ class Mode {
   // The motor moves in another mode: continue from there.
   virtual void take_over(Axis&) {}
   // A stop has ended; `by_halt`: it was a halt, and the interrupted motion continues.
-  virtual void go_on(Axis& axis, bool /*by_halt*/) { take_over(axis); }
+  virtual void resume(Axis& axis, bool /*by_halt*/) { take_over(axis); }
   // Set the demands of a period.
-  virtual void run(Axis& axis) { axis.stand(); }
+  virtual void run(Axis& axis) { axis.hold_standstill(); }
   virtual Offsets offsets(const Axis&) const { return {}; }
   // 0.1 %, beside the limits that the dictionary has for all modes.
   virtual double torque_limit(const Axis&) const { return std::numeric_limits<double>::infinity(); }

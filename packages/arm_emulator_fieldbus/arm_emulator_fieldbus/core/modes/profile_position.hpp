@@ -12,7 +12,7 @@ class ProfilePosition final : public Mode {
 
   void hold(Axis& axis) override {
     begin(axis);
-    profile_.stand(target_);
+    profile_.hold_standstill(target_);
     reached_ = {};
   }
   void take_over(Axis& axis) override {
@@ -21,13 +21,13 @@ class ProfilePosition final : public Mode {
     axis.demand.position_cut = false;
     const Demand& now = axis.demand;
     if (now.speed == 0.0) {
-      profile_.stand(now.position);
+      profile_.hold_standstill(now.position);
     } else {  // to where it can stop
       const double d = axis.deceleration<0x6084>();
       plan(axis, now.position + now.speed * std::fabs(now.speed) / (2.0 * d));
     }
   }
-  void go_on(Axis& axis, bool by_halt) override {
+  void resume(Axis& axis, bool by_halt) override {
     const double target = target_;
     const bool acknowledged = acknowledged_;
     take_over(axis);
@@ -49,7 +49,7 @@ class ProfilePosition final : public Mode {
   }
   std::uint16_t status(const Axis& axis, const Situation& now) const override {
     std::uint16_t word = 0;
-    const bool reached = axis.lasts(reached_.time, axis.values.get<0x6068>());
+    const bool reached = axis.has_lasted(reached_.time, axis.values.get<0x6068>());
     if (now.operates && !now.halted && !buffered_ && reached) word |= status::target_reached;
     if (acknowledged_) word |= status::bit12;
     if (now.off) word |= status::bit13;
@@ -74,11 +74,12 @@ class ProfilePosition final : public Mode {
       return;
     }
     const bool at_once = axis.word & control::change_at_once;
-    if (!axis.rises(control::new_set_point) || (acknowledged_ && !at_once)) return;
+    if (!axis.has_risen(control::new_set_point) || (acknowledged_ && !at_once)) return;
     if (buffered_) target_ = profile_.target();  // the set-point that waits is discarded
     const std::int64_t from = static_cast<std::int64_t>(std::floor(target_ + 0.5)) - axis.shift;
     const bool relative = axis.word & control::relative;
-    target_ = axis.inside(relative ? from + axis.values.get<0x607A>() : axis.target_position());
+    target_ =
+        axis.clamp_position(relative ? from + axis.values.get<0x607A>() : axis.target_position());
     acknowledged_ = true;
     buffered_ = !at_once && !profile_.done();
     if (!buffered_) plan(axis, target_);

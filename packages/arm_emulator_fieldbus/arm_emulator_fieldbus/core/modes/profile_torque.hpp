@@ -13,7 +13,7 @@ class ProfileTorque final : public Mode {
                                       .halts_in_torque = true};
 
   void take_over(Axis& axis) override { axis.control_torque(); }
-  void go_on(Axis& axis, bool /*by_halt*/) override {
+  void resume(Axis& axis, bool /*by_halt*/) override {
     if (axis.demand.loop != Loop::torque) axis.control_torque();
   }
   void run(Axis& axis) override {

@@ -13,7 +13,7 @@ class ProfileVelocity final : public Mode {
   void hold(Axis&) override { reached_ = still_ = {}; }
   void take_over(Axis& axis) override { axis.control_speed(); }
   void run(Axis& axis) override {
-    const double target = axis.within_speed(axis.values.get<0x60FF>(), axis.profile_speed());
+    const double target = axis.clamp_speed(axis.values.get<0x60FF>(), axis.profile_speed());
     axis.demand.loop = Loop::speed;
     axis.demand.speed = ramp(axis.demand.speed, target, axis.acceleration<0x6083>(),
                              axis.deceleration<0x6084>(), axis.dt);
@@ -25,9 +25,9 @@ class ProfileVelocity final : public Mode {
   }
   std::uint16_t status(const Axis& axis, const Situation& now) const override {
     std::uint16_t word = 0;
-    const bool reached = axis.lasts(reached_.time, axis.values.get<0x606E>());
+    const bool reached = axis.has_lasted(reached_.time, axis.values.get<0x606E>());
     if (now.operates && !now.halted && reached) word |= status::target_reached;
-    if (axis.lasts(still_.time, axis.values.get<0x6070>())) word |= status::bit12;
+    if (axis.has_lasted(still_.time, axis.values.get<0x6070>())) word |= status::bit12;
     return word;
   }
 
