@@ -12,6 +12,7 @@
 // `linear()` of each part returns a linear part for the matrix A of the schemes: itself if it is
 // linear. The difference is the drive's nonlinear part, which enters each stage
 // (linearly_implicit.hpp). Non-smooth behaviour is a mode of its part (mode.hpp).
+// One template joins all parts, hence the length.
 #pragma once
 
 #include <initializer_list>

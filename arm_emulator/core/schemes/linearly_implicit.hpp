@@ -25,7 +25,7 @@
 //                 but in the one step after it, which keeps the order.
 //
 // Drives that are not linear add their nonlinear part n (drive.hpp) to f, and n(y) - n(x) to d:
-// both schemes evaluate it, joint by joint.
+// both schemes evaluate it, joint by joint. All schemes here solve one equation, hence the length.
 #pragma once
 
 #include "mechanics/coulomb.hpp"
