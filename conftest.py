@@ -59,15 +59,12 @@ pytest.register_assert_rewrite(
 # Files that take more than 5 s, the longest first: one that comes late would leave the other half
 # of the machine idle.
 LONGEST = """
-campaign fleet_on_device formula_users advice search bags identification mode_loops motor_kinds move
-doubtful_records collisions lockstep compiler faults_at_doors campaign_device directed_load_friction
-causal_replay network recorder full_disks joint_laws network_fixture json recording spoiled_files
-ways device fleet fleet_follow managed_nodes inputs schemes child_kills sole_publisher
-duplicate_nodes faults_at_nodes accuracy firmware topic_based cia402_profile jog driven_machine
-run_time_parameters faults up portable_bits bearing splitting progressive_gear rerun_stream
-random_scenes hysteresis latency extreme_numbers doctor first_difference new coupled_moves
-motor_faults inertia_check by_hand motion_orders firmware_faults by_hand_bags varied_axes couplings
-ideal_motors repair residual external_wrench sensitivities brake
+fleet_on_device advice campaign bags mode_loops network recording doctor spoiled_files event_queue
+inputs fleet faults_at_doors causal_replay driven_machine formula_users jog stopping_on_the_way
+splitting json compiler directed_load_friction lockstep motor_kinds campaign_device command_line
+device doubtful_records faults_at_nodes threads faults collisions recorder number brake
+duplicate_nodes fork_command extreme_numbers by_hand bearing copied_states fit_numbers fmu firmware
+validation portable_bits trees message_reader full_disks
 """.split()
 
 

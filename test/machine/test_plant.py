@@ -9,7 +9,8 @@ from arm_emulator.machine.schemes.known import SCHEMES
 
 @pytest.fixture(params=SCHEMES)
 def plant(request: pytest.FixtureRequest) -> Plant:
-    overrides = {"integrator.scheme": request.param, "integrator.dt": 1e-4}
+    """A machine of `test_schemes`, whose libraries it shares."""
+    overrides = {"varied": ["joints.*"], "integrator.scheme": request.param, "integrator.dt": 1e-4}
     return Plant(load_scene("three_axis", overrides=overrides))
 
 
