@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from draws import with_slow
+from draws import some, with_slow
 from test_new_drives import untuned
 
 from arm_emulator import Refusal, load_scene
@@ -139,7 +139,7 @@ def test_bodies_of_many_kinds_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     inputs: list[str] = []
     monkeypatch.setattr(warning, "issued", inputs)
     rng = np.random.default_rng(5)
-    for _ in range(10):
+    for _ in some(range(10), 3):
         bodies = []
         for _ in range(4):
             p = (rng.random((60, 3)) - 0.5) * SIZE

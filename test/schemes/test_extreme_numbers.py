@@ -146,7 +146,7 @@ def test_after_any_messages_a_reset_gives_every_bit_of_a_run(
     """Sound ones among them may be taken; what they led to is forgotten with the resets."""
     rng = random.Random(seed)
     with in_process() as nodes:
-        any_messages(nodes, rng, 2000)
+        any_messages(nodes, rng, 2000 if FULL else 500)
         restart(nodes)
         nodes.run_to(TICKS)
         assert_same_bits(nodes.states, reference, TICKS)
