@@ -5,12 +5,12 @@ joint's brake open or closed. The machine is linearised about rest in several po
 and closed by the actual law (`servo_loop.py`): first with one joint in the judged loop and the
 others in position control, then with all joints in that loop.
 
-A loop is stable if no small motion grows with the nominal command, and none faster than the
-position loop grows with a command `GAIN` times as strong or as weak. (A torque by a voltage takes
-the back EMF from a data sheet: its excess makes a speed grow slowly, which a torque master
-observes and corrects.) A torque does not hold a link up, and a speed only by its integral:
-growth up to that of the arm's fall with motors without torque, or a tenth of it in speed loops, is
-its weight and not counted.
+A loop is stable if no small motion grows with the nominal command. With a command `GAIN` times as
+strong or as weak no motion faster than the position loop may grow. (A torque by a voltage takes the
+back EMF from a data sheet. Its excess makes a speed grow slowly, which a torque master observes and
+corrects.) A torque loop does not hold a link up, and a speed loop only by its integral. Growth up
+to that of the arm's fall without motor torque, or a tenth of it in speed loops, comes from the
+weight and is not counted.
 """
 
 import dataclasses

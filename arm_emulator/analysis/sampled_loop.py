@@ -20,8 +20,8 @@ _FREQUENCIES = 240  # from 1e-4 of the sampling frequency to its half
 class SampledPlant:
     """A machine of N joints with n states over one servo period, commands held.
 
-    x' = F x + G V. The drives measure at a tick motor angles theta x, and currents
-    current x + current_by_command V with the commands of the period that ends there.
+    x' = F x + G V. At a tick the drives measure motor angles theta x, and currents current x +
+    current_by_command V. V are the commands of the period that ends there.
     """
 
     F: Array  # (n, n)

@@ -247,8 +247,8 @@ def warn_of_loops(scene: Scene, servo: ServoConfig) -> None:
 def check_loops(scene: Scene, servo: ServoConfig) -> list[str]:
     """Hold the servo's gains against the machine; return warnings, one line each.
 
-    Nothing is reported where a joint has no motor, and so no loop, or where the machine's numbers
-    are so far apart that its small motions cannot be computed.
+    A joint without a motor has no loop, and is not reported. Nothing is reported where the
+    machine's numbers are so far apart that its small motions cannot be computed.
 
     Raises:
         Refusal: the loop is unstable where the machine starts.

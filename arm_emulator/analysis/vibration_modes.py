@@ -1,7 +1,7 @@
 """Modes in which an arm under its servos swings, and how much each of them moves the tool.
 
-The machine is linearised about rest in a pose, gears wound up by the weight (`linearise`), sampled
-exactly, and closed by the servo law that runs (`LinearServo`).
+The machine is linearised about rest in a pose, with gears wound up by the weight (`linearise`). The
+linear model is sampled exactly, and the servo law that runs closes its loop (`LinearServo`).
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """Text from files and users as data: one escape function for each format that it is written into.
 
 A name, a path or a refusal that enters HTML, XML, Markdown or C passes through the function of that
-format, so that no reader of the format takes a part of it for markup or code.
+format. No reader of the format therefore takes a part of it for markup or code.
 """
 
 import html

@@ -25,8 +25,8 @@ class DemoPlan:
     """A displacement of the tool, its start, and the time of observation.
 
     Attributes:
-        motion: displacement that the tool is given after the observation, as long as that, so that
-            the recording has a motion of the arm that can be seen; or None for no such motion.
+        motion: a displacement of the tool after the observation, of the observation's duration. It
+            makes a motion of the arm visible in the recording. None: no such motion.
     """
 
     displacement: NDArray[np.float64]  # m (3,), of the tool in the world

@@ -12,8 +12,8 @@ from arm_emulator.base.urdf.joint_tree import FREE_KINDS, MOVING_KINDS
 
 MOVING = tuple(MOVING_KINDS)
 KINDS = (*MOVING, "fixed", *FREE_KINDS)
-# Behind a fork of an arm of at least so many joints, at most so many joints are a gripper's finger,
-# and any number where so many branches begin: a hand.
+# A fork behind MIN_ARM joints or more begins a gripper if a branch has at most MAX_FINGER joints. A
+# fork with FINGERS branches begins a hand, with any number of joints.
 MIN_ARM, MAX_FINGER, FINGERS = 3, 4, 4
 _GRIPPER = re.compile(r"grip|finger|jaw|knuckle|claw", re.IGNORECASE)
 # Frames that makers of arms put at the flange for what is mounted there, the best first.

@@ -12,13 +12,14 @@ Feed Drives in Automation, 2001, chapter 4.) Stiffer is not always better: the r
 to the link for its swing to die, so that a mean K is best for every gear. A fast motor cannot give
 way, since its back EMF brakes it; then smaller position gains, which excite less, are tried, too.
 
-Taken is the pair whose link settles first after a step of its target (and of those that are within
-`NEARLY` of it the one that makes least of a count), of all for which, with the lightest, a mean and
-the heaviest link, without dead time and with one more period of it,
+The search takes the pair whose link settles first after a step of its target. Of the pairs within
+`NEARLY` of that time it takes the one whose response to an encoder count is least. A pair must meet
+these conditions with the lightest, a mean and the heaviest link, without dead time and with one
+more period of it:
 
-- the loop is stable, and disturbances are amplified by `SENSITIVITY` = 2 at most (which is a gain
-  margin of 2 and a phase margin of 29 degrees at least; Astrom and Murray, Feedback Systems, 2008,
-  section 12.2),
+- the loop is stable, and disturbances are amplified by `SENSITIVITY` = 2 at most (a gain margin of
+  2 and a phase margin of 29 degrees at least; Astrom and Murray, Feedback Systems, 2008, section
+  12.2),
 - the link overshoots by `OVERSHOOT` at most,
 - one count of the encoder changes the current asked for by `KICK` of the current limit at most:
   where a count asks for more than the limit, the joint never comes to rest.

@@ -55,7 +55,7 @@ def move_meshes(robot: ET.Element, folder: Path) -> None:
 
 
 # Packages of ROS in the folders around a file, as in a clone of a maker's repository, are found by
-# their `package.xml`, without a sourced shell and whatever their folder is called.
+# their `package.xml`. Neither a sourced shell nor the names of their folders matter.
 MANIFEST = "package.xml"
 MAX_BYTES = 1 << 20  # of a manifest; a larger file has no name
 MAX_FOLDERS = 1000  # that are looked at beside each folder above the file

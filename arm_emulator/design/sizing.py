@@ -21,8 +21,9 @@ from arm_emulator.machine.scene.known_parts import DECORATORS, MOTORS, find_gear
 # Largest plausible limits of a description. Larger ones mean "unknown".
 MAX_SPEED = {"revolute": 30.0, "prismatic": 10.0}  # rad/s, m/s
 DEFAULT_SPEED = {"revolute": math.pi, "prismatic": 0.5}  # rad/s, m/s
-# A torque of the description stands for "not known" beyond so many times what the joint needs with
-# a tool, or where every joint has so many times as much. Makers' figures are up to 6 times.
+# A torque of the description means "not known" beyond PLACEHOLDER times the torque that the joint
+# needs with a tool. So does a torque of OVERSIZED times that torque at every joint. Makers' figures
+# are up to 6 times.
 PLACEHOLDER, OVERSIZED = 20.0, 8.0
 UNDERSIZED = 20.0  # likewise below so many times less, for joints on which no weight rests
 ALIKE = 3  # joints that have one figure are all without one, where one of them cannot have it
@@ -92,11 +93,11 @@ class Sized:
 def size_drives(demands: list[Demand], kind: type[Motor] = MOTORS[0]) -> tuple[float, list[Sized]]:
     """Return the supply voltage [V] and a drive for every joint, with motors of a kind.
 
-    In short: peak torque and speed as published, else those of the description, else what holds and
-    moves the links, and the tool that they are rated for. Torques of makers stay what they are:
-    accelerations follow from them. Ratio and back EMF by the motor's rated speed, winding by what
-    the supply leaves at peak torque, rotor by a servo motor's acceleration, stiffness as strain
-    wave gears of that torque have.
+    Peak torque and speed are those published, else those of the description. Else they suffice to
+    hold and move the links with the tool that they are rated for. Torques of makers are kept:
+    accelerations follow from them. The motor's rated speed determines ratio and back EMF, the
+    voltage that the supply leaves at peak torque the winding. A servo motor's acceleration
+    determines the rotor. The stiffness is that of strain wave gears of that torque.
     """
     rated = [choose_full_speed(demand.kind, demand.velocity, demand.sheet) for demand in demands]
     speeds = np.array([speed for speed, _ in rated])

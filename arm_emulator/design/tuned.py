@@ -174,10 +174,10 @@ def tune_servo(file: Path, servo: ServoConfig) -> ServoConfig:
 def compute_servo(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoConfig:
     """Return the servo with computed gains.
 
-    Each joint is designed by itself (joint_gains.py); then those of a group get the position gain
-    of its slowest, so that the joints of a tool path keep together, and more where a link that
-    stands over its joint would fall; then joints whose loop has too little margin in the whole arm
-    are made slower, within that.
+    Each joint is designed by itself (joint_gains.py). Then the joints of a group get the position
+    gain of the slowest, so that the joints of a tool path keep together. A joint gets more where a
+    link that stands over it would fall. Last, joints whose loop has too little margin in the whole
+    arm are made slower, within that.
     """
     by_name = {joint.name: joint for joint in servo.joints}
     tuned: dict[str, JointServo] = {}

@@ -87,9 +87,9 @@ class Bodies:
 class ChainJoint:
     """A moving joint and its link, in the frames of `core/mechanics/scene.hpp`.
 
-    The link's frame has its origin on the joint axis and z along it; the turn from the parent's
-    frame is Rz(gamma) Rx(alpha) Rz(q + theta_0), gamma 0 for the first of its children, and `p`
-    (3,) [m] is its origin in the parent's frame. `parent` is the place of the link that carries
+    The link's frame has its origin on the joint axis and z along it. The turn from the parent's
+    frame is Rz(gamma) Rx(alpha) Rz(q + theta_0), with gamma 0 for the first child of a parent. `p`
+    (3,) [m] is the origin in the parent's frame. `parent` is the place of the link that carries
     it, -1 for the base.
 
     The joint's child in the URDF has the same origin; `axes` (3, 3) turns vectors of the child's
@@ -140,8 +140,8 @@ class Chain:
 
     `R_BW` (3, 3) turns world vectors (gravity) into the base's frame, from which the first joint is
     seen; both have their origin at the URDF's root link. `carried` has the URDF's links that move,
-    each with the joint that carries it and its frame in that of the joint's child link, which
-    `R_core` (N, 3, 3) turns into the core's.
+    each with the joint that carries it and its frame in that of the joint's child link. `R_core`
+    (N, 3, 3) turns the child link's frame into the core's.
     """
 
     links: tuple[ChainJoint, ...]

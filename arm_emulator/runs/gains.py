@@ -61,8 +61,8 @@ def check_joints(scene: Scene, servo: ServoConfig) -> None:
     """Refuse a servo of other joints than the scene's, or of other motors, gears or encoders.
 
     Raises:
-        Refusal: a joint too many or too few, a motor that our servo cannot drive or that takes
-            another command, a gear that turns the other way, or another word length of an absolute
+        Refusal: a joint too many or too few; a motor that our servo cannot drive or that takes
+            another command; a gear that turns the other way; another word length of an absolute
             encoder.
     """
     if sorted(servo.joint_names) != sorted(scene.joint_names):

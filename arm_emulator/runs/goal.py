@@ -10,8 +10,8 @@ from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.target_table import TargetTable
 
-# rad, or of the arm's length for a joint that slides: a tenth of what a servo without integral part
-# leaves is far below it, and an arm that fell, or met a stop, is far beyond it.
+# rad, or of the arm's length for a joint that slides: a tenth of the error of a servo without
+# integral part is far below it. An arm that fell, or met a stop, is far beyond it.
 NEAR = 0.01
 
 

@@ -1,7 +1,7 @@
 """Machine, servo and motion controller coupled in one process: lock-step without a network.
 
-The three do in every tick what their nodes do in lock-step, in the same order and with the same
-numbers, so that the motor states are the same to the last bit.
+In every tick the three compute as their nodes do in lock-step, in the same order and with the same
+numbers. The motor states are therefore the same to the last bit.
 """
 
 import math

@@ -38,10 +38,11 @@ def dismiss_all(plant: Plant) -> None:
 class RowProcess:
     """A running module that takes the rows of a plant, until it is closed.
 
-    The module gets its task as a pickled dict on its input, which ends when it has to, and hands
-    pickled answers back through a pipe that nothing else writes into (`RowEnd`): one when it is
-    ready, which is a `Refusal` if it cannot be, and one at its end. What it prints goes to stderr.
-    Nothing is lost by its end after the last answer, so that it is killed then.
+    The module gets its task as a pickled dict on its input. The end of this input asks it to end.
+    It returns pickled answers through a pipe that nothing else writes into (`RowEnd`). The first
+    answer comes when it is ready, and is a `Refusal` if it cannot be ready; the second comes at its
+    end. Its prints go to stderr. It has nothing to do after the last answer, so that it is killed
+    then.
 
     Attributes:
         plant: the machine.

@@ -57,8 +57,8 @@ def load_target_table(
             and times and targets in that order; None: the numbers are no targets of an arm.
 
     Raises:
-        Refusal: no such file, other columns, a row with a gap, a value that is no number or too
-            large, times that do not ascend from 0 s or later, or what `check` refuses.
+        Refusal: no such file; other columns; a row with a gap; a value that is no number or too
+            large; times that do not ascend from 0 s or later; what `check` refuses.
     """
     names = ["t", *joint_names]
     units = {name: "rad or m" for name in joint_names} | {"t": "s"}

@@ -42,9 +42,9 @@ class Servo(Synchronized):
     Arrays are (N,) in the order of ``config.joints``. Call once in every servo period `update`, or
     its two halves: `observe` when the measurement is there, `control` when the target is.
 
-    A joint whose observer or integral is no longer finite begins anew where the motor stands, is
-    commanded 0 for that period, and is counted in `restarts`. Within the bounds of
-    base/validation/bound.py only a data sheet of impossible numbers can lead there.
+    If the observer or the integral of a joint is no longer finite, the joint begins anew at the
+    motor's position. It is commanded 0 for that period, and is counted in `restarts`. Within the
+    bounds of base/validation/bound.py only a data sheet of impossible numbers can cause this.
 
     Attributes:
         config: data-sheet values, gains and limits.

@@ -22,8 +22,8 @@ def make_servo_numbers(
     """Return the numbers of joints, (N,) rows of ``servo_joint``.
 
     Raises:
-        Refusal: coefficients that are not finite, or a winding and a rotor that swing together so
-            fast that a voltage held for a period cannot control the current.
+        Refusal: coefficients that are not finite; a winding and a rotor that swing together so fast
+            that a voltage held for a period cannot control the current.
     """
     rows = [_compute_row(joint, period, supply_voltage) for joint in joints]
     return np.array(rows, SERVO.get_dtype("servo_joint"))
@@ -162,12 +162,11 @@ def _compute_current_loop(
 def _compute_observer(motor: ZohMotor, p: float) -> dict[str, float]:
     """Return the gains of the observer for the poles p = exp(-observer_bandwidth T).
 
-    Its errors in angle, speed and load go on by a matrix of rows (1, b, c), (0, a, d) and
-    (0, 0, 1) and are then corrected by gains times the error in angle; the gains are those for
-    which the characteristic polynomial is (z - p)^2 (z - r). A slow motor has a = 1, and r = p:
-    this is the g-h-k filter with fading memory (Brookner, Tracking and Kalman Filtering Made
-    Easy, 1998, section 1.3). The faster the motor, the more of an error in speed is gone by
-    itself.
+    A matrix with the rows (1, b, c), (0, a, d) and (0, 0, 1) advances its errors in angle, speed
+    and load. They are then corrected by gains times the error in angle. With these gains the
+    characteristic polynomial is (z - p)^2 (z - r). A slow motor has a = 1, and r = p: this is the
+    g-h-k filter with fading memory (Brookner, Tracking and Kalman Filtering Made Easy, 1998,
+    section 1.3). The faster the motor, the faster an error in speed decays by itself.
     """
     a = motor.speed.speed - motor.speed_per_surplus * motor.current.speed
     b = motor.turn.speed - motor.turn_per_surplus * motor.current.speed

@@ -5,8 +5,8 @@ Over a period T in which voltage V and load torque do not change, eq. (1) and (2
     L di/dt = V - R i - Kb omega        Mm domega/dt = Kt i - load        dtheta/dt = omega
 
 are linear, so that current, speed and angle at its end are known sums of those at its start. They
-depend on two ratios only, T to the motor's time constant R Mm / (Kt Kb) and that of the winding
-L / R to T, and hold for every value of both: a motor may be much faster than the period.
+depend on two ratios only: T to the motor's time constant R Mm / (Kt Kb), and the winding's time
+constant L / R to T. They hold for every value of both: a motor may be much faster than the period.
 """
 
 import math

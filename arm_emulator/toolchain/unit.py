@@ -27,8 +27,8 @@ class Unit:
         where: name in refusals.
         about: message during compilation.
         part: name of the compiled part in refusals.
-        beside: a further source, compiled separately in the same command, so that the code of
-            `source`, and the bits of its results, do not depend on it.
+        beside: a further source, compiled separately in the same command. The code of `source`, and
+            the bits of its results, do therefore not depend on it.
         data: bytes of exported objects in copies outside the cache, by their names; units that
             differ in it alone share a library in the cache.
         more: further exported functions, declared in no header.

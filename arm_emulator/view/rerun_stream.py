@@ -58,9 +58,9 @@ class RerunStream:
     Logical time stands on the time line `t` in whole nanoseconds. When it steps back (a reset), the
     line goes on at its next whole second.
 
-    Entities: `signals/<quantity>/<joint>` for each of `QUANTITIES` and those that are further,
-    `signals/tool_deviation/<axis>` (target minus tool [m]), `transforms` (of all joints),
-    `tool/path`, `tool/target`, `events`, and the geometry of the URDF under the robot's name.
+    Entities: `signals/<quantity>/<joint>` for each of `QUANTITIES` and the further ones;
+    `signals/tool_deviation/<axis>` (target minus tool [m]); `transforms` (of all joints);
+    `tool/path`, `tool/target`, `events`; the geometry of the URDF under the robot's name.
 
     Attributes:
         url: where a viewer may connect, None without `port`.

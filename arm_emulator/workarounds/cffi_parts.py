@@ -1,8 +1,8 @@
 """The declarations of a header as data: cffi writes them as a module, which is read here.
 
 Versions: cffi 1.16 to 2.1. Reason: parsing a header takes 30 ms, and cffi keeps the result as a
-module of Python alone, which the cache of libraries can neither check nor replace as a whole.
-Test: test/toolchain/test_workarounds.py, `test_cffi_offers_declarations_as_a_module_alone`.
+module of Python alone. The cache of libraries can neither check nor replace such a module as a
+whole. Test: test/toolchain/test_workarounds.py, `test_cffi_offers_declarations_as_a_module_alone`.
 """
 
 import ast

@@ -5,8 +5,8 @@ departure, as when Ctrl-C ends several nodes at once: two of its threads wait fo
 Python's lock is held meanwhile, so no Python code can step in; a timer of the C library can.
 
 Fast DDS can also crash there. A process that is killed while it writes into a port of this one's
-shared memory leaves the port locked. The removal waits for that lock, the thread that receives does
-so, too, and after a second it unmaps the port, in which the removal still looks.
+shared memory leaves the port locked. The removal waits for that lock, and so does the thread that
+receives. After a second this thread unmaps the port, which the removal still reads.
 
 Versions: Fast DDS 2.14. Test: test/toolchain/test_workarounds.py,
 `test_fast_dds_is_that_of_the_workarounds`.

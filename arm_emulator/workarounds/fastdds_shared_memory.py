@@ -6,8 +6,8 @@ Segments without an owner are removed here, as by `fastdds shm clean`. Ports sta
 reuses them, and others may write to them. But a port whose maker was killed while it made it is
 removed: every process that opens it waits for the maker, and reacts to no signal. A port whose
 reader was killed is marked as broken: the next reader makes a new one, and a process that has the
-old one open would write to it until its end. Fast DDS marks it only where the reader was killed
-while it waited for a message or was in the midst of one, not in the microseconds between.
+old one open would write to it until its end. Fast DDS marks it only if the reader was killed while
+it waited for a message or read one. It does not mark it in the microseconds between.
 
 Versions: Fast DDS 2.14. Tests: test/toolchain/test_workarounds.py,
 `test_fast_dds_is_that_of_the_workarounds`, and test/nodes/test_fastdds_shared_memory.py.

@@ -1,8 +1,8 @@
 """Internals of rclpy that a node with messages in C, or with a barrier, needs.
 
-Versions: rclpy 7.1 (Jazzy). Reasons: rclpy has no wait set of entities that one chooses, calls no
-callback for bytes that were taken elsewhere, and fails at a request for a transition that a state
-does not have and at a clock message with a malformed time.
+Versions: rclpy 7.1 (Jazzy). Reasons: rclpy has no wait set of chosen entities, and calls no
+callback for bytes that were taken elsewhere. It fails at a request for a transition that a state
+does not have, and at a clock message with a malformed time.
 Test: test/toolchain/test_workarounds.py, `test_rclpy_fails_at_bad_transitions_and_times`.
 """
 

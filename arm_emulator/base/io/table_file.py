@@ -50,8 +50,8 @@ def read_table(file: Path, units: Mapping[str, str]) -> Table:
         units: of columns, by their names, for refusals.
 
     Raises:
-        Refusal: the file is missing or not a CSV in UTF-8, a row is shorter or longer than the
-            heading, or a cell is not a finite number.
+        Refusal: the file is missing or not a CSV in UTF-8; a row is shorter or longer than the
+            heading; a cell is not a finite number.
     """
     where = file.name
     rows = _read_rows(file)

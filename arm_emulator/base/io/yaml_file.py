@@ -1,6 +1,6 @@
 """YAML with three rules: 1e-4 is a number, every key is a text, and no key occurs twice.
 
-A document is checked as a stream of events before it is built, so that the result is of bounded
+A document is checked as a stream of events before it is built. The result therefore has a bounded
 size and depth for any file.
 """
 

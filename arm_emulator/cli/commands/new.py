@@ -128,8 +128,8 @@ def _report_scene(written: NewScene) -> dict[str, Any]:
 def find_or_make_scene(robot: Path, out: Path) -> Path:
     """Return the scene of a robot below `out`: one made from this description, or a new one.
 
-    Its folder is named after the robot, and the path and content of its description, so that
-    another robot's file of the same name, or an older version, is not mistaken for it.
+    Its folder is named after the robot, and the path and content of its description. Another
+    robot's file of the same name, or an older version, therefore has another folder.
 
     Raises:
         Refusal: see `write_new`.

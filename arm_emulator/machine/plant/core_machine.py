@@ -315,7 +315,7 @@ class LinearDrive(ArrayEquality):
 
     Of a progressive gear it is the linearisation where that is not wound up.
 
-    With its n states z, D dz/dt = F (z, q, v, u), and the torque on the link is G (z, q, v, u) less
+    With its n states z, D dz/dt = F (z, q, v, u). The torque on the link is G (z, q, v, u) less
     `carried` times the link's acceleration.
     """
 

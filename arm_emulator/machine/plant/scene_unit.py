@@ -34,8 +34,8 @@ from arm_emulator.machine.varied_places import write_place
 def write_scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
     """Return the C++ unit of a scene: its constants, then the core's C interface.
 
-    Neither the step size nor the values of varied numbers, which stand as p[k], are part of it, so
-    that scenes that differ in these alone share a library.
+    It contains neither the step size nor the values of varied numbers, which stand as p[k]. Scenes
+    that differ in these alone therefore share a library.
 
     Args:
         scene: the scene.

@@ -338,10 +338,10 @@ def _assemble_chain(
 def _explain_bad_body(moved: _Moving, where: str, in_bearing: bool = False) -> Refusal | None:
     """Return why the equations of motion are not solvable with what a joint moves.
 
-    The mass matrix is positive definite in every pose if no body has a negative principal moment
-    and each has inertia about its own joint's axis (mass, along the axis of a prismatic one). So a
-    thin rod or a point mass may be moved, though not a rod about its own length; nor either in a
-    bearing that gives way, where a body moves in several directions.
+    The mass matrix is positive definite in every pose under two conditions. No body has a negative
+    principal moment, and each has inertia about its own joint's axis (mass, along the axis of a
+    prismatic one). So a joint may move a thin rod or a point mass, but not a rod about its own
+    length. In a compliant bearing, where a body moves in several directions, neither is accepted.
     """
     body, label = moved.body, f"moved by joint {moved.joint.name} (links {', '.join(moved.links)})"
     if not body.mass >= SMALLEST_MASS:

@@ -374,8 +374,8 @@ class Session(Synchronized):
             further: inputs of motors beside it, by name, given alike; 0 otherwise.
 
         Raises:
-            DuplicateCommand: the same bits once more for one of the two ticks answered last, or an
-                answer that was on its way when the run before was left.
+            DuplicateCommand: the same bits again for one of the two ticks answered last, or an
+                answer of the previous run, on its way when that run ended.
             Refusal: wrong tick, names, length, an input that no motor has, or a number that is not
                 finite or too large.
         """

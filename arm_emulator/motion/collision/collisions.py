@@ -44,10 +44,10 @@ def load_collisions(
 class Collisions(SharedObject):
     """Tests configurations.
 
-    Two parts of the arm are not tested against each other where one joint or none is between them,
-    where they touch with all joints at 0 (or in the middle of their limits), and where they touch
-    in more than a third of all configurations; obstacles not against what stands still. Parts that
-    are near each other by design may come as near as they are made.
+    Two parts of the arm are not tested against each other if at most one joint is between them. Nor
+    are parts that touch with all joints at 0 (or in the middle of their limits), or in more than a
+    third of all configurations. Obstacles are not tested against parts that stand still. Parts that
+    are near each other by design may come as near as in the design.
 
     Args:
         urdf_xml: the robot description.

@@ -1,7 +1,7 @@
 """The reference as the servo gets it: shaped, so that the arm does not shake when it has ended.
 
-All joints are shaped alike, so a straight line of the joints remains one, and each value is a mean
-of earlier ones with positive shares: limits of position, speed, acceleration and jerk hold on.
+All joints are shaped alike, so a straight line of the joints remains one. Each value is a mean of
+earlier ones with positive weights. Limits of position, speed, acceleration and jerk therefore hold.
 """
 
 from collections import deque
@@ -49,8 +49,8 @@ class _ShapedPeriod:
 class ShapedReference:
     """Shapes setpoints one motion period after the other.
 
-    Where the reference jumps to where the arm is measured, as behind closed brakes, and until it
-    rests after that, it is passed on as it is: a delay would send the arm back.
+    A reference may jump to the measured position of the arm, as behind closed brakes. From then
+    until it rests, it is passed on unchanged: a delay would send the arm back.
 
     Args:
         shaper: its impulses.

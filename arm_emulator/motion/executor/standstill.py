@@ -19,8 +19,8 @@ Flags = npt.NDArray[np.bool_]
 class Standstill:
     """The reference of an arm that waits.
 
-    A joint that cannot move is commanded to be where it is measured, as fast as it is, so that its
-    brake never opens on a difference. The others come to rest, from their commanded motion
+    A joint that cannot move is commanded to its measured position and speed, so that its brake
+    never opens on a difference. The others come to rest, from their commanded motion
     or, after a standstill, from the measured one.
     """
 

@@ -134,9 +134,9 @@ def _compute_step(before: Pose, after: Pose) -> Array:
     return both
 
 
-# The tool goes with the motion that the targets make (`TargetStream`), to where that is at the end
-# of the motion period, with its speed and acceleration there. When no more targets come the last
-# one is where it comes to rest.
+# The tool follows the motion of the targets (`TargetStream`). In each motion period it goes to the
+# position, speed and acceleration of that motion at the period's end. When no more targets come, it
+# comes to rest at the last one.
 
 NEAR, NEAR_TURN = 0.1, 0.5  # m, rad: a tool farther from its target goes there by a way of its own
 GAIN, MAX_SHARE = 15.0, 0.4  # 1/s, of the tool's distance, and part of it in a period at most

@@ -1,6 +1,6 @@
 """Directions of tool and joints at one pose, and the joint speeds that a twist takes there.
 
-A twist becomes joint speeds by the singular values s_i of the scaled Jacobian, with its directions
+The singular values s_i of the scaled Jacobian turn a twist into joint speeds, with its directions
 u_i in the task and v_i in the joints:
 
     v = sum_i v_i (u_i' twist) / max(s_i, s_1 / stop)

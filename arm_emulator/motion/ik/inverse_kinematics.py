@@ -37,15 +37,15 @@ class InverseKinematics:
     the size |S e| D^2, is small against s_i^2 D^2; and enough to never pass a stretched pose, where
     the way to a target beyond reach ends: its elbow stays on the side where it was.
 
-    Joint motions that leave the tool where it is lead towards a posture, so that the angles are a
+    Joint motions that do not move the tool lead towards a posture. The angles are therefore a
     function of the target and do not drift over a cycle.
 
     Where no step leads nearer, motions of no effect in first order are tried by a finite one: an
     exactly stretched arm bends, to the side of the middle of its limits.
 
-    All angles inside are scaled: a joint that slides counts per reach of the arm, and a slow one as
-    much more (`Kinematics.step_scale`), so that a redundant arm hardly waits for it. They are those
-    of joints that move the tool; others stay where they are.
+    All angles inside are scaled: a joint that slides counts per reach of the arm. A slow joint
+    counts more, in proportion (`Kinematics.step_scale`), so that a redundant arm hardly waits for
+    it. The angles are those of joints that move the tool; other joints do not move.
 
     Attributes:
         q: the angles found so far, (N,) [rad or m], within the position limits.

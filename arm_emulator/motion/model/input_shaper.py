@@ -1,7 +1,8 @@
 """Input shaping: a motion as the sum of delayed copies that leave no vibration of known modes.
 
-A mode of frequency f [Hz] and damping z answers an impulse with exp(-z w t) sin(wd t), w = 2 pi f,
-wd = w sqrt(1 - z^2). With K = exp(-z pi / sqrt(1 - z^2)) and half its damped period H = pi / wd,
+Let a mode have the frequency f [Hz] and the damping z, with w = 2 pi f and wd = w sqrt(1 - z^2).
+It answers an impulse with exp(-z w t) sin(wd t). With K = exp(-z pi / sqrt(1 - z^2)) and half its
+damped period H = pi / wd,
 
     ZV     1, K            / (1 + K)      at 0, H
     ZVD    1, 2 K, K^2     / (1 + K)^2    at 0, H, 2 H

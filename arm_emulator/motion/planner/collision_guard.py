@@ -96,8 +96,9 @@ class CollisionGuard:
     ) -> tuple[float, str] | None:
         """Return where an obstacle is met before what was found, or that.
 
-        Conservative advancement, pair by pair: from a look at which parts are d apart they may move
-        d to touch, and the margin more until they are as far apart again as the next look accepts.
+        Conservative advancement, pair by pair: parts that are d apart at a check may move d until
+        they touch. They move the margin more until they are as far apart again as the next check
+        accepts.
 
         Args:
             angles: of the joints on the way.

@@ -26,14 +26,14 @@ _STEP_LIMIT = Number("step_limit", "rad", above=0.0)
 class JacobianController:
     """Eq. (6) for the joints that move the tool; others stay where they are.
 
-    The error ``X_target - X(q)`` is the translation and, in a pose task, the rotation vector
-    (logarithm) from the tool to its target, both along the world's axes at the tool.
+    The error ``X_target - X(q)`` is the translation from the tool to its target, and in a pose task
+    the rotation vector (logarithm), too. Both are along the world's axes at the tool.
 
     ``J^-1`` is the inverse of a square Jacobian; with more joints than task rows the least-norm
     one; with fewer the least-squares one.
 
     Near singular poses, and only there, it is damped. Let ``s`` be a singular value of J with its
-    translations divided by the arm's reach (so that all entries are rad per rad), and ``e`` be
+    translations divided by the arm's reach, so that all entries are rad per rad. Let ``e`` be
     `singular_below`. Where ``s >= e``, ``1/s`` is used, exactly eq. (6). Where ``s < e``, that
     direction alone is damped with the factor of Maciejewski and Klein (1988) and Chiaverini (1997):
 

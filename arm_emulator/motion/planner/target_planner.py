@@ -1,15 +1,15 @@
 """Tool targets along planned ways.
 
-A target that comes while the arm rests is reached along the tool's line, or along the joints' line
-where that of the tool is not possible or takes much longer; where the tool would go past its end
-on that, along an arc of the joints next to it. One that comes while the arm moves is
-reached from that motion, jerk-limited (`OnlineTrajectory`). All of them are planned to their end
-within the limits of speed, acceleration and jerk, those from rest within the torques of the
-description too; so nothing goes past its end.
+A target that comes while the arm rests is reached along the tool's line. If that line is not
+possible or takes much longer, the joints' line replaces it. Where the tool would pass its end on
+the joints' line, an arc of the joints beside it replaces that line. A target that comes while the
+arm moves is reached from that motion, jerk-limited (`OnlineTrajectory`). All ways are planned to
+their end within the limits of speed, acceleration and jerk. Ways from rest keep the torques of the
+description, too. No way therefore passes its end.
 
-The reference is the controller's own. It begins at rest where the arm is and never depends on a
-measurement later, so that the limits hold by construction, whatever the servo does, and measurement
-noise does not come back as motion.
+The reference is the controller's own. It begins at rest at the arm's position and never depends on
+a later measurement. The limits therefore hold by construction, whatever the servo does, and
+measurement noise does not come back as motion.
 """
 
 import math

@@ -198,8 +198,8 @@ class JerkLimitedVelocity:
 def _compute_stopping_speeds(distance: Array, acceleration: Array, jerk: Array) -> Array:
     """Return the speeds (N,) from which joints at no acceleration stop within distances.
 
-    From v a joint stops within v sqrt(v / j) where it does not come to its largest acceleration a,
-    which it does from a^2 / j on; else within v (v / a + a / j) / 2.
+    A joint reaches its largest acceleration a when it stops from v >= a^2 / j. Then it stops within
+    v (v / a + a / j) / 2, else within v sqrt(v / j).
     """
     d = np.maximum(distance, 0.0)
     short = np.cbrt(d**2 * jerk)

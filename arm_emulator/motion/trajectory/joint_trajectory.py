@@ -2,10 +2,10 @@
 
 Semantics of ros2_control's joint_trajectory_controller
 (https://control.ros.org/jazzy/doc/ros2_controllers/joint_trajectory_controller/doc/trajectory.html):
-between two points the joints go straight where only positions are given, along a cubic where both
-have velocities, along a quintic where both have accelerations, too. A trajectory begins at its
-stamp, from where the joints are commanded to be then and at the speed that they have there, so
-that nothing jumps. Points that are past are left out. Joints that it does not name come to rest.
+between two points the joints go straight where only positions are given. They follow a cubic where
+both points have velocities, and a quintic where both have accelerations, too. A trajectory begins
+at its stamp, from the positions and speeds commanded at that time, so that nothing jumps. Points
+that are past are left out. Joints that it does not name come to rest.
 """
 
 import bisect

@@ -148,9 +148,9 @@ class TimedPath(SharedObject):
     def _find_timing(self, pieces: int, arguments: tuple[Any, ...], where: str) -> PathTiming:
         """Return the quickest timing found that keeps every limit at every check.
 
-        Where one exceeds limits between the places for which it was found, it is found again with
-        tighter ones there, and slowed down as a whole by the rest; and of more pieces, too, if the
-        first exceeds them by much.
+        A timing may exceed limits between the places for which it was found. It is then found again
+        with tighter limits there, and with more pieces, too, if the excess is large. The remaining
+        excess slows the whole timing down.
         """
         law, timings, first = path_library(), list[PathTiming](), 0.0
         # Once more with as many: now what is exceeded is known from more looks.
@@ -241,8 +241,8 @@ class TimedPath(SharedObject):
 
 
 # A place s of the way is a function of sigma in [0, 1], `Ramps`, whose slope rises smoothly from 0
-# and falls to 0 again. So what goes along it evenly in sigma begins and ends at rest, with
-# continuous accelerations, and the rate c = (dsigma/dt)^2 that remains to be found is an ordinary
+# and falls to 0 again. A motion that is even in sigma therefore begins and ends at rest, with
+# continuous accelerations. The rate c = (dsigma/dt)^2 that remains to be found is an ordinary
 # function: the quadratic spline of cpp/path.h.
 
 POINTS = (0.0, 0.5, 1.0)  # of a piece, at which path.h asks for the limits

@@ -1,8 +1,8 @@
 """Tool paths: poses in a row, and the curve through them with the places where the tool stops.
 
-The tool first goes to the first pose from where it is, and rests in it. Then it follows the curve
-of `ToolCurve`, as fast as limits of the tool and of the joints allow, or so that it is in each
-pose at the time that the pose is stamped with.
+The tool first goes to the first pose, and rests in it. Then it follows the curve of `ToolCurve`, as
+fast as limits of the tool and of the joints allow. If poses have stamps, it is in each pose at its
+stamp.
 
 Flat corners are rounded, so that the tool passes them no farther than `ROUNDED` away. Where the
 direction still steps the tool stops: no joint can change its speed at once.
@@ -138,8 +138,8 @@ def _check_order(times_ns: Sequence[int], count: int) -> list[int]:
 #
 # A curve is a row of segments. Along each one its measure x grows from 0 to `length`: the distance
 # that the tool goes or, where it turns more than it goes, the angle by which it turns times
-# `per_turn`. So a tool that stands and turns goes along its curve too, and of two limits, of speed
-# and of turning speed, the one that counts is kept.
+# `per_turn`. So a tool that stands and turns goes along its curve, too. Of the limits of speed and
+# of turning speed, the stricter one is kept.
 
 SAME = 1e-9  # m, and rad: poses no farther apart are the same
 MIN_CUT = 2e-3  # m: shorter arcs would be passed as slowly as a stop
@@ -172,8 +172,8 @@ class ToolCurve(SharedObject):
             three on a line stay on it.
         blend: where two lines meet, an arc begins this far before the corner [m], at most in the
             middle of a line.
-        rounding: corners so flat that an arc which passes them this near [m] begins `MIN_CUT`
-            or more before them, or in the middle of a line, are rounded by it whatever `blend` is.
+        rounding: an arc that passes a corner at this distance [m] rounds it, whatever `blend` is,
+            if the arc begins `MIN_CUT` or more before the corner, or in the middle of a line.
 
     Attributes:
         length: measure of each segment (S,) [m].

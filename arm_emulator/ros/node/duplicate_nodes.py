@@ -135,8 +135,8 @@ class DuplicateNodes:
     def wait_until_first(self, sign: str, *, alone: bool = False) -> None:
         """Serve the node, silent but for its diagnostics, until no earlier one is present.
 
-        Afterwards `Restart` is raised if an earlier one is found after all, as on a machine so
-        busy that the middleware has not found it in time.
+        Afterwards `Restart` is raised if an earlier node is found after all. The middleware may
+        find it late on a busy machine.
 
         Args:
             sign: a topic on which only nodes of this kind publish.

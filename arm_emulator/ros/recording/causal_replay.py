@@ -1,8 +1,8 @@
 """A recorded network, played into one of its nodes: each message follows the answer to the last.
 
-A replay by the clock loses what the node cannot take in time, and a servo that waits for targets
-never gets them at the right tick. Here the node under test decides how fast time passes, as in
-lock-step: the same node gives the same bits in every replay.
+A replay by the clock loses messages that the node cannot take in time. A servo that waits for
+targets never gets them at the right tick. Here the node under test decides how fast time passes, as
+in lock-step: the same node gives the same bits in every replay.
 """
 
 from __future__ import annotations

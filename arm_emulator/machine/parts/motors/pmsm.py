@@ -111,9 +111,9 @@ class Pmsm(Motor):
     def wrap_motor(self, inner: CxxMotor, joint: str, places: Mapping[str, str]) -> CxxMotor:
         """Return it with the ripple of a lost phase.
 
-        The other two carry what they carried, their star point being connected. Of the torque
-        ``k iq 2/3 sum sin^2(p tm - 2 pi j / 3)`` over three phases is left
-        ``k iq (1 - 2/3 sin^2 p tm) = k iq 2/3 (1 + cos(2 p tm) / 2)``, and of the induced voltage
+        The other two phases keep their currents, since their star point is connected. The torque
+        over three phases is ``k iq 2/3 sum sin^2(p tm - 2 pi j / 3)``. The remaining torque is
+        ``k iq (1 - 2/3 sin^2 p tm) = k iq 2/3 (1 + cos(2 p tm) / 2)``. The induced voltage keeps
         the same share: a smaller flux with a ripple.
         """
         lost = self._find_lost_share(joint, places)
