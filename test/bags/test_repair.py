@@ -285,7 +285,7 @@ class _Parts:
 KILLED = """
 import os, random, signal, sys, threading, time
 from pathlib import Path
-sys.path.insert(0, {here!r})
+sys.path[:0] = {folders!r}
 from test_repair import talk
 draw = random.Random(int(sys.argv[2]))
 threading.Timer(draw.uniform(0.0, 0.25), lambda: os.kill(os.getpid(), signal.SIGKILL)).start()
@@ -298,7 +298,7 @@ for turn in range(10_000):
 def test_a_recorder_killed_at_any_moment_leaves_a_bag_that_repair_completes(
     seed: int, tmp_path: Path
 ) -> None:
-    code = KILLED.format(here=str(Path(__file__).parent))
+    code = KILLED.format(folders=[str(folder) for folder in Path(__file__).parents[:2]])
     command = [sys.executable, "-c", code, str(tmp_path / "bags"), str(seed)]
     (tmp_path / "bags").mkdir()
     done = subprocess.run(command, capture_output=True, timeout=60.0, check=False)
