@@ -19,8 +19,8 @@ from bench.measure import describe_machine
 from bench.must_show import list_requirements
 from bench.tables import format_table
 
-# A section is a module of this folder with TITLE, run(quick) -> figures (JSON), report(figures) ->
-# Markdown, and, if it has pictures, draw(figures, folder).
+# A section is a module of this folder with TITLE, run(quick) -> figures (JSON) and report(figures)
+# -> Markdown. A section with pictures has draw(figures, folder), too.
 SECTIONS = (
     "work_precision",
     "ns_per_step",

@@ -24,9 +24,9 @@ answered_ticks = compile_once(make_answered_ticks_unit)
 class AnsweredTicks:
     """The hot path of the emulator in lock-step.
 
-    A command that answers the present tick leads to the next state. All others are Python's, and so
-    are all while the machine waits for anything else, has further inputs that are not 0, or a
-    viewer is shown every tick.
+    A command that answers the present tick leads to the next state. Python takes all other
+    commands. It takes all commands while the machine waits for anything else, has further inputs
+    that are not 0, or a viewer is shown every tick.
 
     Attributes:
         takes, outgoing: see `HotPath`.

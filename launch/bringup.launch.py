@@ -161,8 +161,8 @@ def make_nodes(context: LaunchContext) -> list[Node]:
 def make_frame_publishers(scene: Scene, namespace: str, every: dict) -> list[Node]:
     """Return what publishes the links' frames on /tf, where it is installed.
 
-    It gets the description that the emulator publishes on `robot_description` as a parameter, since
-    it does not listen there at its start, and the servo's `joint_states`.
+    It gets the servo's `joint_states`. The description that the emulator publishes on
+    `robot_description` is its parameter, since it does not listen there at its start.
     """
     package, prefix = "robot_state_publisher", f"{namespace.strip('/')}/".lstrip("/")
     try:

@@ -1,14 +1,14 @@
 """Random mixtures in which each law stands alone, against an independent solution.
 
-Defects that a mixture of many parts hides: each joint has one law of friction at most, at its link
-or at its rotor, dry or not (oracles/mixtures.py draws all of them at once, always one that is dry),
-every other command is 0, gears are rigid, elastic or have gaps. Claims:
+These mixtures show defects that a mixture of many parts hides. Each joint has one law of friction
+at most, at its link or at its rotor, dry or not. (oracles/mixtures.py draws all laws at once,
+always one that is dry.) Every other command is 0; gears are rigid, elastic or have gaps. Claims:
 
-- with events located the motion is that of oracles/smoothed_reference.py, in which nothing is
-  decided, and differences between runs fall with the square of the step;
+- with events located the motion is that of oracles/smoothed_reference.py, which decides no modes;
+  differences between runs fall with the square of the step;
 - with events at the ends of steps, in all schemes, the error falls as the step;
 - what is left of energy given - stored - dissipated falls alike;
-- four machines side by side go as each of them alone (every fourth mixture);
+- four machines side by side move as each of them alone (every fourth mixture);
 - none diverges.
 """
 
@@ -40,9 +40,9 @@ from oracles.random_chain import list_moving_joints, write_random_chain
 from oracles.smoothed_reference import InputRow, SmoothedMachine, Smoothing
 
 ROWS = 14  # commands, each for a period
-# Steps in a row where events are taken at their ends, in which they lie well or badly: the coarse
-# ones, of which one divides no other, and the fine ones in which errors are smaller, the finer
-# where the coarse had good luck.
+# Steps in a row where events are taken at their ends; an error depends on the place of events in a
+# step. None of the coarse ones divides another. Errors are smaller in the fine ones; the finer are
+# for small errors of the coarse ones by chance.
 COARSE, FINE, FINER = (20, 28, 40), (320, 640), (1280, 2560)
 FALLS = 4.0  # 16 and 64 are what is claimed
 # rad or m: of the reference, in which a shaft that sticks creeps, and of event times

@@ -1,10 +1,10 @@
 """Any serial arm, from its robot description alone: does it go where it is sent, and how?
 
-For every arm a scene is made by `arm_emulator new`; the whole machine, servo and motion controller
-are then sent on random moves of 50 and 300 mm (less for small arms) between poses within the
-joint limits. A move counts as arrived if the true tool rests where `predict_residual` states.
-What the true tool does on the way is judged, too: how far it goes past the place where it comes to
-rest, how far from the straight line it is, and the links' speeds, accelerations and torques.
+For every arm `arm_emulator new` makes a scene. The whole machine, servo and motion controller then
+make random moves of 50 and 300 mm (less for small arms) between poses within the joint limits. A
+move counts as arrived if the true tool rests where `predict_residual` states. The motion of the
+true tool is judged, too: how far it goes past its place of rest, and how far it is from the
+straight line. The links' speeds, accelerations and torques are judged with it.
 Without names: every robot of example-robot-data with an arm, and those of oracles/own_robots.py.
 """
 
@@ -249,8 +249,9 @@ def _find_largest(rows: Array, limits: Array) -> float:
 
 
 def measure_along_line(tool_path: Array) -> tuple[float, float, float]:
-    """Return length of the line from a way's first to its last point, how far the way goes past its
-    end, and how far aside of it, for points (K, 3) [m].
+    """Return a line's length, overshoot and lateral distance [m] of a way with points (K, 3).
+
+    The line goes from the first to the last point of the way.
     """
     line = tool_path[-1] - tool_path[0]
     length = float(np.linalg.norm(line))

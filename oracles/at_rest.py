@@ -6,11 +6,10 @@ held against it:
 
 - it does not diverge;
 - joints that move do so as the equations demand, and joints that rest do so because friction can
-  hold them (without weights all rest). Gears are not wound up then: M dv/dt + nle + friction = 0,
-  where the mean of dv/dt over a us is what the machine has done, M and nle are Pinocchio's, and
-  friction is that of a law's own numbers against the motion, at rest at most what holds. Of
-  Coulomb's friction at several joints there is one solution only: who stands still must have a
-  reason.
+  hold them (without weights all rest). Gears are not wound up then: M dv/dt + nle + friction = 0.
+  The mean of dv/dt over a us is the machine's, M and nle are Pinocchio's. Friction follows from a
+  law's own numbers, against the motion, and at rest is at most the holding torque. Coulomb's
+  friction at several joints has one solution only, so a joint at rest must have a reason.
 """
 
 from __future__ import annotations

@@ -13,14 +13,14 @@ SMALL = 0.02  # of the way: errors below count no more
 def predict_errors(weight: float, step_response: npt.ArrayLike, instructions: int) -> Array:
     """Return the error of the tool after each instruction of eq. (6), in parts of its way.
 
-    Let S_m be the part of a step of its target that the servo has gone m motion periods later,
-    s_m = S_m - S_(m-1), and E_k the error at instruction k, E_0 = 1. Near the target eq. (6) gives
-    the servo ``1 - (1 - w) E_k`` of the way. With all that it was given it is then, after k,
+    Let S_m be the part of a target's step that the servo has covered after m motion periods, and
+    s_m = S_m - S_(m-1). Let E_k be the error at instruction k, with E_0 = 1. Near the target
+    eq. (6) gives the servo ``1 - (1 - w) E_k`` of the way. After instruction k the error is then
 
         E_k = 1 - sum_(m = 1..k) s_m (1 - (1 - w) E_(k-m))
 
-    A servo that makes the part g of what is left in every period, s_m = g (1 - g)^(m-1), has
-    ``E_k = (1 - w g)^k``; one that is always there ``(1 - w)^k``.
+    A servo that covers the part g of the remaining way in every period has s_m = g (1 - g)^(m-1).
+    Its error is ``E_k = (1 - w g)^k``, that of an ideal servo ``(1 - w)^k``.
 
     Args:
         weight: w, in (0, 1].

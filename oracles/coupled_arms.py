@@ -1,7 +1,7 @@
 """Arms whose joints do not go each with a drive, and their equations by explicit constraints.
 
-The solution knows no shafts' mass matrix: it has all joints of the chain (Pinocchio, by the
-description alone), the shafts, and one Lagrange multiplier for each row of q = C p + q_0.
+The solution does not use the shafts' mass matrix. It has all joints of the chain (Pinocchio, by the
+description alone) and the shafts. Each row of q = C p + q_0 has a Lagrange multiplier.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """An independent solution for machines that stick and whose currents meet limits.
 
-As `oracles.reference`, in pieces: in each the modes of the joints are held, and SciPy finds
-where the first of them ends, on the dense output of its own steps. Shares no line with the core.
+It solves the equations of `oracles.reference` in pieces. In each piece the modes of the joints are
+held. SciPy finds the end of the first of these modes, on the dense output of its own steps. It
+shares no line with the core.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Distance of the true tool from its reference on a fast line, with and without feed-forward.
 
-The whole machine follows a line of the tool while servo and motion controller know its gears,
-friction and inertia right, wrong, or not at all. The truth is the emulated machine's own state, the
-reference what the servo was given, less the wind-up that its motor is to be ahead by.
+The whole machine follows a line of the tool. Servo and motion controller know its gears, friction
+and inertia right, wrong, or not at all. The truth is the emulated machine's own state. The
+reference is the servo's target less the wind-up by which its motor leads.
 
 Encoders at the motors measure the motors. Wrong numbers of stiffness, inertia and friction send the
 motors to wrong places, by the difference between assumed and true wind-up; a servo that put every

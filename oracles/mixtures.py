@@ -1,8 +1,8 @@
 """Random mixtures of all parts of a drive: order, energy and lanes.
 
 Each machine is a random chain of two links whose joints have parts drawn from all parts
-(machine/scene/known_parts.py), moved by commands that jump, some under a wrench, some braked on the
-way. Claims, with rosenbrock and events located:
+(machine/scene/known_parts.py). Commands that jump move it; some machines are under a wrench, some
+are braked on the way. Claims, with rosenbrock and events located:
 
 - halving the step twice shows order 2 in the positions, or `Diverged` is raised;
 - what is left of energy given - stored - dissipated falls with that order;

@@ -6,10 +6,10 @@ has; none may follow from the part's declaration:
 - `NUMBERS`: a table of name, unit, default and range, and usual values of what random machines
   have. A heading names all that have the numbers below it; U is the unit of the quantity that a
   sensor reads. "needed" has no default, "none" is a default of nothing;
-- `FAULTS`: name, unit of the magnitude m, the magnitude that shows the fault well, its range, and
-  the change of each number x, the first number in the line of the name. S is the sensor's section;
-- `OUTPUTS`, `INPUTS`: units by name, of outputs where the joint turns and where it slides, "" of
-  counts, flags, bits and of what is in the unit of an input;
+- `FAULTS`: name; unit of the magnitude m; the magnitude that shows the fault well; its range; the
+  change of each number x, the first number in the line of the name. S is the sensor's section;
+- `OUTPUTS`, `INPUTS`: units by name. Outputs have one where the joint turns and one where it
+  slides. "" is for counts, flags, bits and quantities in the unit of an input;
 - `draw_section(part, rng)`: its section in a random machine, where numbers depend on each other;
 - `EXCEEDED`, `measure(plant)`: a size that the quantity of a sensor exceeds in the motion of
   test/sensors/test_readings.py, and its true values by joint;

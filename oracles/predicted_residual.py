@@ -57,8 +57,8 @@ def predict_residual(
 
            |X_target - X|_i <= sum_j |J_ij| d_j (h / w + 1/2) + second order,
 
-       the last, with ``S = sum_j d_j (h / w + 1/2)`` and the wind-up ``W = sum_j |T_j / Kg_j|``,
-       being ``S (S / 2 + W)``, times the arm's reach in the rows of translation: no second
+       the last is ``S (S / 2 + W)``, times the arm's reach in the rows of translation. Here
+       ``S = sum_j d_j (h / w + 1/2)``, and the wind-up is ``W = sum_j |T_j / Kg_j|``: no second
        derivative of a chain of revolute joints is larger.
 
     The reference of `TargetPlanner` does not depend on what is measured: it rests at the target (or
@@ -69,10 +69,10 @@ def predict_residual(
     it is tight for a single joint; several joints seldom err all to the worst side at once.
 
     A motor without static friction may stand on the edge between two counts and cross it now and
-    then. Measured from the neighbouring count, ``x = J^-1 e`` changes by one count, and the target
+    then. Measured from the neighbouring count, ``x = J^-1 e`` changes by one count. The target
     moves over, too, only if ``w x + (1 - w) d > d / 2``; then the new ``|x - d|`` is again at most
-    d / (2 w). So crossing does not leave the bound, but for the part of a count by which the motor
-    overshoots the edge (below 0.01 counts with the scene three_axis, 0.1 with ur5 and panda).
+    d / (2 w). So crossing does not leave the bound, except for the motor's overshoot past the edge.
+    This overshoot is below 0.01 counts with the scene three_axis, and below 0.1 with ur5 and panda.
 
     An encoder on the motor does not see the gear's wind-up u between motor and link, T / Kg of a
     linear gear. It displaces the tool by ``X(q + u) - X(q)``, for example by the arm's weight.

@@ -1,8 +1,8 @@
 """The claims about order and energy, held against random machines that stick and meet limits.
 
-Each machine is a random chain of one to three links with a mixture of motors with and without
-inductance and limits, rigid, elastic and progressive gears, dry friction and gravity, moved by
-voltages that jump. Claims, for rosenbrock and extrapolated with events located:
+Each machine is a random chain of one to three links under gravity, moved by voltages that jump. It
+has a mixture of motors with and without inductance and limits, of rigid, elastic and progressive
+gears, and of dry friction. Claims, for rosenbrock and extrapolated with events located:
 
 - the error at a tenth of the step follows the scheme's order, or `Diverged` is raised;
 - what is left of energy given - stored - dissipated falls with the scheme's order, and at steps of

@@ -1,11 +1,12 @@
 """An independent solution in which nothing is decided.
 
-Where the core asks whether a shaft sticks or slides, a current is at its limit, a tooth touches,
-and finds the instants at which that changes, here are ordinary differential equations alone: dry
-friction rises from 0 to its full torque within a small speed, a current beyond its limit is pushed
-back by a large resistance, teeth and stops push where they are pressed. SciPy's LSODA takes them,
-stiff as they are, with steps of its own. A stuck joint creeps by some 1e-8 rad in 0.1 s, and the
-effect on a motion falls with `Smoothing`: a tenth of it shows how much is left.
+The core decides whether a shaft sticks or slides, a current is at its limit, or a tooth touches. It
+finds the instants of these changes. The equations here are ordinary differential equations
+without decisions. Dry friction rises from 0 to its full torque within a small speed. A large
+resistance pushes a current beyond its limit back. Teeth and stops push where they are pressed.
+SciPy's LSODA solves these stiff equations with steps of its own. A stuck joint creeps by some 1e-8
+rad in 0.1 s, and the effect on a motion falls with `Smoothing`: a tenth of it shows how much is
+left.
 
 Shares no line with the core, and decides nothing.
 """

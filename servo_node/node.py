@@ -84,8 +84,8 @@ class ServoNodeParameters:
 class ServoNode(ManagedNode):
     """The servo as a ROS node.
 
-    In lock-step each motor state is answered once, and at the start of a motion period only after
-    the joint targets that answer this period's joint states have come.
+    In lock-step each motor state is answered once. At the start of a motion period the answer waits
+    for the joint targets that answer this period's joint states.
     """
 
     def __init__(self) -> None:

@@ -6,11 +6,11 @@ and closed by the actual law (`servo_loop.py`): first with one joint in the judg
 others in position control, then with all joints in that loop.
 
 A loop is stable if no small motion grows with the nominal command. With a command `GAIN` times as
-strong or as weak no motion faster than the position loop may grow. (A torque by a voltage takes the
+strong or as weak no motion faster than the position loop may grow. A torque by a voltage takes the
 back EMF from a data sheet. Its excess makes a speed grow slowly, which a torque master observes and
-corrects.) A torque loop does not hold a link up, and a speed loop only by its integral. Growth up
-to that of the arm's fall without motor torque, or a tenth of it in speed loops, comes from the
-weight and is not counted.
+corrects. A torque loop does not hold a link up, and a speed loop only by its integral. Growth up to
+that of the arm's fall without motor torque comes from the weight and is not counted. In speed loops
+a tenth of it is not counted.
 """
 
 import dataclasses

@@ -179,7 +179,7 @@ def sensitivities(
             left out.
         commands: rows (K, N) [V, N m, A], each held for `steps`.
         by: names or patterns of numbers as in `varied` of a scene, such as
-            ``joints.*.gear.stiffness``, and ``start.q.JOINT``, ``start.v.JOINT`` for the links'
+            ``joints.*.gear.stiffness``. ``start.q.JOINT`` and ``start.v.JOINT`` are the links'
             positions and speeds at the start, which the motors follow.
         steps: integration steps under each row; None: a servo period.
         q: link positions at the start (N,) [rad or m]; None: the scene's.

@@ -3,8 +3,8 @@
 Versions: viser 1.1, websockets 16. Reason: viser has no hook for requests, for its end, and for
 its log; it hands its own check to `websockets.asyncio.server.serve`, which is replaced while a
 server starts. At its end that server waits for 10 s for a browser that does not answer, such as
-one on a computer that sleeps. A connection that ends before its first request is complete, such
-as that of a port scan, is logged with a traceback until viser has answered a request.
+one on a computer that sleeps. A connection may end before its first request is complete, such as
+that of a port scan. It is logged with a traceback until viser has answered a request.
 Test: test/toolchain/test_workarounds.py, `test_viser_has_no_hook_for_requests`.
 """
 

@@ -1,9 +1,9 @@
 """Spread of an arm's demo over the assumed numbers of its scene.
 
 Most figures of motors, gears and friction of the scenes are assumed, each within a range
-(bench/physics/origins.py). Here these make the demo's motion: an arm as the scene has it, arms with
-one figure at either end of its range, and arms with all figures drawn from their ranges. Servo and
-motion controller are the scene's in all of them: they do not know.
+(bench/physics/origins.py). Here these arms make the demo's motion: the scene's own arm, arms with
+one figure at either end of its range, arms with all figures drawn from their ranges. All of them
+have the scene's servo and motion controller, which do not know the changed figures.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ class AssumedFigure:
 def list_assumed(file: Path) -> list[AssumedFigure]:
     """Return what a scene assumes, in the order of the file.
 
-    The torque constant is the constant of the back EMF, too. A gear's ratio is no number of a
-    machine but structure: r0/r of it does what motors do whose constants and dry friction are r0/r
-    times as large, and their rotors (r0/r)^2 times as heavy and as viscous.
+    The torque constant is the constant of the back EMF, too. A gear's ratio is structure, not a
+    number of a machine. A ratio changed by r0/r is equal to motors with constants and dry friction
+    r0/r times as large. Their rotors are (r0/r)^2 times as heavy and as viscous.
     """
     origin_list = [origin for origin in list_origins(file) if origin.assumed is not None]
     nominal = {name: origin.value for origin in origin_list for name in origin.list_names()}

@@ -4,8 +4,8 @@ MuJoCo gets what its documentation offers for such a machine, and nothing that s
 geometry, and contacts and constraints are switched off. Its links come from Pinocchio's reading of
 the URDF, so that a slip in the emulator's own reading would show as a difference.
 
-The rotor is a body of its own beside the chain, as the paper's equations have it (its inertia turns
-about its own axis and nothing else). An arrangement with rotor and gear as two coaxial hinges of
+The rotor is a separate body beside the chain, as in the paper's equations: its inertia turns about
+its own axis only. An arrangement with rotor and gear as two coaxial hinges of
 each link gave the same accuracy or less at the same cost.
 """
 

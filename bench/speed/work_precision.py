@@ -206,8 +206,8 @@ def _check_agreement(
 ) -> dict[str, Any]:
     """Check that MuJoCo's machine and ours are one: both against the reference after 1 s.
 
-    With inductance MuJoCo's error is of first order in the step, so twice the result at h less the
-    one at 2 h leaves an error of second order.
+    With inductance MuJoCo's error is of first order in the step. Twice the result at h less the one
+    at 2 h therefore leaves an error of second order.
     """
     h = 1e-5
     ends = []

@@ -1,6 +1,6 @@
 """Scenes and URDFs drawn at random, good and bad: what people, tools and malice put into files.
 
-`draw(rng, folder)` writes a scene (scene.yaml, and robot.urdf beside it) into an empty `folder` and
+`draw(rng, folder)` writes a scene (scene.yaml, and robot.urdf beside it) into an empty `folder`. It
 returns the path to load, which need not be that of a file. `verdict(path)` loads it up to the C++
 unit and returns "" if it was taken, or the one line that refuses it; it raises AssertionError if
 the outcome is another: more than one line, a line that names no file, a number in the unit that is

@@ -1,10 +1,10 @@
 """Files from outside, spoiled at random: damaged, odd, huge, empty, or none at all.
 
-`case(kind, rng, folder)` writes a sound file of a kind, spoils it and hands it to the command that
-reads it, by the command line's own entry in this process. It returns the line that refuses the file
-and "" if it was taken, and raises AssertionError if the outcome is another: a traceback, a warning,
-more than one line, a line that does not name the file, more than some seconds or more memory than
-the bounds allow.
+`case(kind, rng, folder)` writes a sound file of a kind, spoils it and passes it to the command that
+reads it. The command runs by the command line's own entry in this process. `case` returns the line
+that refuses the file, or "" if it was accepted. It raises AssertionError at another outcome: a
+traceback; a warning; more than one line; a line that does not name the file; more than some seconds
+or more memory than the bounds allow.
 """
 
 import contextlib

@@ -16,8 +16,8 @@ from scipy.optimize import brentq
 from arm_emulator.base.arrays import Array
 
 MAX_PIECES = 200  # between two events, in one row
-# Torque against a shaft that moves that way, at a speed, under the torque that drives it and the
-# torque of the gear that it moves; the last: whether the first counts as the greater one.
+# Torque against a shaft. Arguments: its direction, its speed, the torque that drives it, the torque
+# of the gear that it moves. The last: whether the first torque counts as the greater one.
 Law = Callable[[float, float, float, float, bool], float]
 
 

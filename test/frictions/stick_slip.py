@@ -99,8 +99,8 @@ def draw(rng: np.random.Generator) -> tuple[dict[str, float], Towed]:
 def scene_of(folder: Path, towed: Towed, friction: dict[str, float], **integrator: Any) -> Path:
     """Write two such masses, which do not feel each other; `friction` is the section of the link.
 
-    The joint "rotor" has a rotor of the mass's inertia that rubs, before a link that nothing slows
-    down, and the joint "link" a link that rubs behind such a rotor.
+    The joint "rotor" has a rotor of the mass's inertia that rubs, before a heavy link that keeps
+    its speed. The joint "link" has a link that rubs, behind a heavy rotor that keeps its speed.
     """
     gear = {"ratio": RATIO, "stiffness": towed.stiffness, "damping": towed.damping}
     times = {"viscous": RATIO**2, "coulomb": RATIO, "breakaway": RATIO, "stribeck": 1.0 / RATIO}

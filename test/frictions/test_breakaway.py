@@ -1,7 +1,7 @@
 """Breakaway of joints behind rigid gears, against the balance of torques.
 
-With the motor's torque T at the link, the torque G that the joint needs to hold its links, and
-friction of link and rotor, which may both go with |T|, a joint at rest stays there while
+Let T be the motor's torque at the link, and G the torque that the joint needs to hold its links.
+Friction of link and of rotor may grow with |T|. A joint at rest stays at rest while
 
     |T - G| <= c + mu |T|          c = Ds + Ds_m / |Ng|,  mu = mu_link + mu_rotor
 

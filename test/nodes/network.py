@@ -418,8 +418,8 @@ def wait_until_met(client: NetworkClient, node: str, patience: float) -> bool:
     """Wait until a node knows what a client has made so far; False: not within this time [s].
 
     Before that it may lose a message to a best-effort subscription, and answers to a client. The
-    middleware reports publishers and clients in the order in which they were made, so a node that
-    answers a new client knows all earlier ones.
+    middleware reports publishers and clients in the order of their creation. A node that answers a
+    new client therefore knows all earlier ones.
     """
     parameter_client = client.create_client(GetParameters, f"{node}/get_parameters")
     try:

@@ -1,9 +1,9 @@
 """The topic-based hardware component of ros2_control in our motion controller's place.
 
 `JointStateTopicSystem` of joint_state_topic_hardware_interface 1.1 is stated here by its messages:
-it takes the newest joint states, by name, at the rate of its controllers, and publishes the
-commands of all joints where they differ from the states by more than a threshold in sum. The arm is
-judged by its true angles.
+it takes the newest joint states, by name, at the rate of its controllers. It publishes the commands
+of all joints if they differ from the states by more than a threshold in sum. The true angles judge
+the arm.
 """
 
 from collections.abc import Iterator

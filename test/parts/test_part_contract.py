@@ -1,9 +1,9 @@
 """Properties of every part that a scene may have.
 
-Six parts at a time, each alone in a drive without friction and limits, in the joints of a machine
-whose links do not feel each other. They slide, but links in bearings that give way turn, so that
-motion deflects these. Commands jump, and the power is cut on the way. The test of the part
-compares its motion with the truth, `test_lanes` all of them in lanes with single arms.
+Six parts are tested at a time, each alone in a drive without friction and limits. They are in the
+joints of a machine whose links are not coupled. The links slide, but links in compliant bearings
+turn, so that motion deflects these. Commands jump, and the power is cut on the way. The test of the
+part compares its motion with the truth, `test_lanes` all of them in lanes with single arms.
 """
 
 from functools import cache

@@ -320,8 +320,8 @@ def in_process(
 ) -> Iterator[InProcess]:
     """Run the three nodes of a scene in this process, from the first answer on.
 
-    Of a scene that is another one only in its numbers, `file` may be given, and for the gains that
-    belong to the scene those of another file, `servo`, likewise `motion`.
+    `file` is the scene's file if it differs from the named scene in its numbers only. `servo` and
+    `motion` are files in the place of the scene's own gains.
     """
     gains = servo or find_config(scene, ".yaml", "servo")
     motion = motion or find_config(scene, ".yaml", "motion")

@@ -246,8 +246,8 @@ def test_periods_in_which_the_loop_stands_still_are_lost_and_counted() -> None:
     loop.stop_time()
     figures, largest = loop.figures, time.monotonic_ns() - began
     passed = (figures.tick + figures.lost_periods) * period
-    # All time is either a tick or a lost period, but for the one that has begun, and for what the
-    # loop was late for it.
+    # All time is either a tick or a lost period, except for the present period and the loop's delay
+    # for it.
     open_ns = 2 * period + figures.worst_lateness
     assert smallest - passed < open_ns, f"{passed} of {smallest} ns are reported"
     assert passed <= largest, f"{passed} of {largest} ns are reported"

@@ -152,7 +152,8 @@ def of_order(first: float, second: float) -> Callable[[str, float], float]:
     """Return the bound `first` dt for schemes of order 1, `second` dt^2 for those of higher order.
 
     Where the links alone count, one evaluation of them per step has the error constant of the
-    Adams-Bashforth method, 5/12, and two have that of a Runge-Kutta method, 1/6: 2.5 times less.
+    Adams-Bashforth method, 5/12. Two evaluations have that of a Runge-Kutta method, 1/6: 2.5 times
+    less.
     """
 
     def bound(scheme: str, dt: float) -> float:

@@ -125,8 +125,8 @@ def test_bounded_up_to_ten_milliseconds(scheme: str, overrides: dict[str, Any]) 
 
     truth = fastest_of("rosenbrock", 5e-5, **overrides)
     for dt in (1e-2, 2e-3, 1e-3, 1e-4):
-        # At 48 V to and fro light links turn by 0.2 rad within a step of 10 ms, where the turning
-        # of the links, taken explicitly, is wrong by a part like that.
+        # At alternating 48 V light links turn by 0.2 rad within a step of 10 ms. The explicit part
+        # for the turning of the links has an error of that size.
         reached = fastest_of(scheme, dt, **overrides)
         assert reached < 1.5 * truth, f"at {dt} s it reaches {reached:.3g} of {truth:.3g} rad/s"
 

@@ -51,8 +51,8 @@ def test_limited_motors_without_inductance_move_as_the_equations_state(seed: int
         q = Plant(scene).run(voltages, round(period / dt))
         errors.append(float(np.abs(q - truth).max()))
     moved = np.abs(truth - scene.start).max()
-    # Drawn time constants go down to a thirteenth of 1 ms, and the limit then holds for half a step
-    # of those before each rotor has its speed: what the links miss is a part of their first step.
+    # Drawn time constants go down to a thirteenth of 1 ms. The limit then holds for half a step
+    # until each rotor has its speed: the links' error is a part of their first step.
     assert errors[0] < 0.03 * moved and errors[1] < 0.01 * moved, errors
     # Second order, down to the reference's own error.
     assert errors[2] < 0.05 * errors[1] + 1e-9, errors

@@ -189,9 +189,9 @@ def test_single_precision_moves_the_arm_as_double(
     """At rest both stand in the target's count; on the way they may be some counts apart.
 
     Angles of a motor up to 100 rad are rounded to 4e-6 rad, a thousandth of a count. So now and
-    then a count is seen a tick earlier or later, and each moves the observed speed by a share of
-    omega_gain, 0.2 counts per ms here, until the loops have taken it back, within some 10 ms: a few
-    counts, 3.2 in 12 draws.
+    then a count is seen a tick earlier or later. Each moves the observed speed by a share of
+    omega_gain, 0.2 counts per ms here. The loops correct this within some 10 ms: a few counts, 3.2
+    in 12 draws.
     """
     rng = np.random.default_rng([seed, 14])
     random_table(rng, tmp_path / "table.csv", 200)

@@ -232,9 +232,9 @@ def test_designed_gains_have_the_margins_that_are_promised(seed: int) -> None:
 def test_large_steps_at_the_limits_come_to_rest(seed: int) -> None:
     """The size of ur5's large joints, speed and current at their limits on the way.
 
-    While the rotor swings on its gear the observed speed lags, and the winding makes many amperes
-    of the few volts by which the back EMF is off. A limit that only holds for the current that is
-    asked for lets it run ten times beyond, and the swing never ends.
+    While the rotor swings on its gear the observed speed lags. The few volts of error of the back
+    EMF then cause many amperes in the winding. If the limit holds only for the requested current,
+    the true current reaches ten times the limit, and the swing never ends.
     """
     rng = np.random.default_rng([seed, 9])
     motor = MotorData(0.3, 4e-4, 0.125, 0.125, 1e-4, FINE)

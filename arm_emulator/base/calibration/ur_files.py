@@ -1,7 +1,7 @@
 """Calibrations of Universal Robots: what the ROS driver writes, and what the controller holds.
 
-`ur_calibration` of Universal_Robots_ROS2_Driver writes a YAML file with the placement of each of
-the six joints, as `rpy` and `xyz` of a URDF. The first is in the frame `base`; the last joint's
+`ur_calibration` of Universal_Robots_ROS2_Driver writes a YAML file with the placements of the six
+joints, as `rpy` and `xyz` of a URDF. The first is in the frame `base`; the last joint's
 link is the flange (`tool0`). The controller's `calibration.conf` has numbers that are added to
 those of Denavit and Hartenberg (denavit_hartenberg.py).
 """

@@ -77,8 +77,9 @@ def run_demo(
 ) -> int:
     """Displace the tool with three nodes, and draw the deviation of each displacement.
 
-    The exit code is 1 where the tool does not come to rest at its target, or elsewhere than in one
-    process, which the demo runs before: in lock-step by a bit, in real time by 1 % of the way.
+    The demo first makes the motion in one process. The exit code is 1 if the tool does not come to
+    rest at its target, or rests elsewhere than in one process: in lock-step by a bit, in real time
+    by 1 % of the way.
 
     Args:
         scene: scene file or name, or a robot's URDF.

@@ -375,7 +375,7 @@ class Session(Synchronized):
 
         Raises:
             DuplicateCommand: the same bits again for one of the two ticks answered last, or an
-                answer of the previous run, on its way when that run ended.
+                answer on its way when the previous run ended.
             Refusal: wrong tick, names, length, an input that no motor has, or a number that is not
                 finite or too large.
         """

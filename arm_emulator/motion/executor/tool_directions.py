@@ -1,7 +1,7 @@
 """Directions of tool and joints at one pose, and the joint speeds that a twist takes there.
 
-The singular values s_i of the scaled Jacobian turn a twist into joint speeds, with its directions
-u_i in the task and v_i in the joints:
+The scaled Jacobian has singular values s_i, with directions u_i in the task and v_i in the joints.
+They turn a twist into joint speeds:
 
     v = sum_i v_i (u_i' twist) / max(s_i, s_1 / stop)
 

@@ -26,8 +26,8 @@ _STEP_LIMIT = Number("step_limit", "rad", above=0.0)
 class JacobianController:
     """Eq. (6) for the joints that move the tool; others stay where they are.
 
-    The error ``X_target - X(q)`` is the translation from the tool to its target, and in a pose task
-    the rotation vector (logarithm), too. Both are along the world's axes at the tool.
+    The error ``X_target - X(q)`` is the translation from the tool to its target. In a pose task it
+    has the rotation vector (logarithm), too. Both are along the world's axes at the tool.
 
     ``J^-1`` is the inverse of a square Jacobian; with more joints than task rows the least-norm
     one; with fewer the least-squares one.

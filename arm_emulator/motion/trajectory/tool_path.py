@@ -172,8 +172,9 @@ class ToolCurve(SharedObject):
             three on a line stay on it.
         blend: where two lines meet, an arc begins this far before the corner [m], at most in the
             middle of a line.
-        rounding: an arc that passes a corner at this distance [m] rounds it, whatever `blend` is,
-            if the arc begins `MIN_CUT` or more before the corner, or in the middle of a line.
+        rounding: flat corners are rounded, whatever `blend` is, by an arc that passes them at this
+            distance [m]. The arc begins `MIN_CUT` or more before the corner, or in the middle of a
+            line.
 
     Attributes:
         length: measure of each segment (S,) [m].

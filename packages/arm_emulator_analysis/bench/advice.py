@@ -5,8 +5,8 @@ synchronous motors, with motors that are commanded torques or currents, in turns
 that is asked for, claims of the setting that is advised:
 
 - on its own motions and on five others its true error is at most the one published;
-- it costs at most 1.3 times as much as the cheapest setting that keeps the error on all of these,
-  of all schemes, events and steps.
+- it costs at most 1.3 times as much as the cheapest setting that keeps the error on all of these
+  motions. The search for this setting tries all schemes, events and steps.
 
 The true motions are found again, five times as well;
 packages/arm_emulator_analysis/test/test_advice.py compares them with independent solutions.

@@ -9,8 +9,8 @@ class ModbusLine:
     """A master's end of the line: it sends and receives bytes.
 
     Clock "lockstep": each write of commands is a servo period, and the line takes no time. "line":
-    logical time is that which requests, replies and the silences between them take on the line, and
-    while they do, servo periods pass under the commands held; the master itself takes none.
+    logical time is the time of requests, replies and the silences between them on the line.
+    Meanwhile servo periods pass under the held commands; the master itself takes no time.
     "realtime": servo periods pass by themselves, see `RealTimeService`.
 
     Attributes:

@@ -1,7 +1,8 @@
 """Configurations of masters for ROS 2, as they configure a drive: keys and values of their files.
 
-A file of ethercat_driver_ros2 lists vendor and product, service data for the start, the time of
-SYNC0 and process data with the interfaces of ros2_control. The one below is of the same form.
+A file of ethercat_driver_ros2 lists vendor and product, service data for the start, and the time of
+SYNC0. It also lists process data with the interfaces of ros2_control. The one below is of the same
+form.
 """
 
 import math

@@ -105,8 +105,8 @@ def load_board(file: Path, joint_names: Sequence[str]) -> Board:
         joint_names: of the scene.
 
     Raises:
-        Refusal: no such file, no YAML, a key that is not known or missing, a value out of its
-            range, registers outside of every block or used twice, or unknown joints.
+        Refusal: no such file, no YAML; a key that is not known or missing; a value out of its
+            range; registers outside of every block or used twice; unknown joints.
     """
     return _Reader(Section(read_yaml(file), file.name), joint_names).read_board()
 

@@ -266,8 +266,9 @@ class Module(ABC):
 
     A kernel is an ``extern "C"`` function. On a card its first parameter is the number of threads
     (int64_t), and the arguments follow; the last block has threads beyond that number, which must
-    return at once. On the processor it is ``void NAME(int64_t first, int64_t threads, void**
-    arguments)``, which loops over threads from `first` on, with pointers to the arguments.
+    return at once. On the processor it is
+    ``void NAME(int64_t first, int64_t threads, void** arguments)``. This function loops over
+    threads from `first` on, with pointers to the arguments.
 
     Attributes:
         device: where they run.

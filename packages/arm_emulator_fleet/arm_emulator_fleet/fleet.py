@@ -59,7 +59,7 @@ class Fleet(CoreMachines):
     Attributes:
         scene: of all arms.
         lanes: arms that advance together; 1 for scenes with two threads, or with a drive that is
-            never in its usual modes (play, dry friction of a rotor behind an elastic gear).
+            never in its usual modes: play, dry friction of a rotor behind an elastic gear.
         compute_count_angle: what one encoder count means at the link (N,) [rad or m].
 
     Args:

@@ -26,8 +26,8 @@ class FleetControl(NonCopyable):
 
     Its signature is `arm_fleet_step_of_control` of core/arm_fleet.h, or
     `arm_fleet_step_of_rows` if it is written over vectors, for all arms of a group at once. It is
-    called for one group of arms at a time, by several threads for different groups, and keeps what
-    it remembers of an arm apart from that of the others.
+    called for one group of arms at a time, by several threads for different groups. It keeps the
+    memory of each arm separate.
 
     Attributes:
         functions: it, by the name of its field in `arm_fleet_control`.

@@ -126,8 +126,8 @@ class CoreMachines(Synchronized):
 
         Args:
             arms: a mask (count,) or indices; None: all.
-            q: link positions, (N,) for all of these or a row each, or (count, N), of which the rows
-                of other arms are not read [rad or m]; the scene's start if None.
+            q: link positions [rad or m], (N,) for all of these or a row each, or (count, N); rows
+                of other arms are not read; the scene's start if None.
             v: link speeds alike [rad/s or m/s]; zero if None.
             varied: values of varied numbers by name, one for all of these or one each, or
                 (count,); those that are not named stay.

@@ -27,8 +27,8 @@ OF_ANGLE = ("q_motor", "q_link", "v_motor")
 def read_run(path: Path, scene: Scene, angles: str = "rad", side: str = "link") -> MeasuredRun:
     """Read a record of a scene's machine.
 
-    An archive (``.npz``) has arrays ``t`` (K,) [s], ``q_mot`` (K, N), and ``tau`` (or ``tau_abs``)
-    [N m] or ``current`` [A] at the motors' shafts; it may have ``q_link`` and ``v_mot``.
+    An archive (``.npz``) has the arrays ``t`` (K,) [s] and ``q_mot`` (K, N). At the motors' shafts
+    it has ``tau`` (or ``tau_abs``) [N m] or ``current`` [A]; it may have ``q_link`` and ``v_mot``.
     A table (``.csv``) has columns ``t``, ``q_mot.JOINT``, ``tau.JOINT`` and so on. Columns of
     ``q_link`` that are 0 throughout are no encoders.
 

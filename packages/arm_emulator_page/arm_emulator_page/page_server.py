@@ -89,8 +89,8 @@ def apply_theme(server: Any) -> None:
 
 
 # A browser sends the requests of any page that is open in it to this machine, too. So the token
-# alone opens the page, a page of another origin gets nothing, and neither does a name that resolves
-# to this machine (DNS rebinding). The token is the first folder of the path, from which the browser
+# alone opens the page. A page of another origin gets nothing, nor does a name that resolves to this
+# machine (DNS rebinding). The token is the first folder of the path, from which the browser
 # takes all its further requests, that of the websocket among them. There is no cookie: browsers
 # send cookies to every port of a host (RFC 6265, 8.5).
 

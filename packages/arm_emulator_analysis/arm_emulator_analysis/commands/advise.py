@@ -169,7 +169,7 @@ def read_commands(path: Path, scene: Scene) -> Array:
 
     Args:
         path: a bag's folder, whose `motor_states` are read, or a table with `t` and the joints'
-            names, whose rows hold until the next one, in the units of the joints' commands.
+            names. A row holds until the next one, in the units of the joints' commands.
         scene: the machine.
 
     Raises:

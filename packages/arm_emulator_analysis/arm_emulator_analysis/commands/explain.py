@@ -64,8 +64,8 @@ def explain_run(
         other: folder of the bag whose run is compared.
         at: logical time of the moment (s).
         when: condition instead: the first moment at which it holds, after that of --at if given.
-        stop: instead of a moment, the tool's vibration after the last targets, or from --at on,
-            and the time until it stays within so many mm of its rest.
+        stop: instead of a moment, the tool's vibration after the last targets, or from --at on; the
+            time until it stays within so many mm of its rest.
         scene: scene file or name (default: the one that the bag names).
         other_scene: likewise of the other bag.
         run: which run of the bag, from 1 on (default: the last).

@@ -95,8 +95,8 @@ def execute_campaign(
             or processor, on which the kernels of cards run as loops.
         dry: measure what a run costs, print time and size of the whole, and simulate nothing more.
         replay: simulate one run again, for --record, --bag, --rerun and --page.
-        shrink: find the fewest changes and the shortest time with which a run still fails, and
-            write them into the folder of the results as a campaign.
+        shrink: find the fewest changes and the shortest time with which a run still fails; write
+            them into the folder of the results as a campaign.
         bag: new bag with the run of --replay and its scene; needs ROS 2.
     """
     outputs.check_options("campaign")

@@ -53,10 +53,10 @@ def _find_high_place(below: NDArray[np.float64], tail: float) -> int | None:
 def bound_mean(p: NDArray[np.float64], confidence: float) -> tuple[float, float]:
     """Return the interval of the mean of independent estimates of a probability (K,).
 
-    Those that are not 0 are taken to be lognormal, as products of many shares are. The interval is
-    that of generalised pivots (Krishnamoorthy and Mathew, Journal of Statistical Planning and
-    Inference 115, 2003), and of the share of zeros (Tian, Statistics in Medicine 24, 2005). With
-    fewer than two that are not 0 nothing is known: 0 to 1.
+    Estimates that are not 0 are taken to be lognormal, as products of many shares are. Their
+    interval is that of generalised pivots (Krishnamoorthy and Mathew, Journal of Statistical
+    Planning and Inference 115, 2003). That of the share of zeros is Tian's (Statistics in Medicine
+    24, 2005). With fewer than two estimates that are not 0 the interval is 0 to 1.
     """
     logs = np.log(p[p > 0.0])
     n, zeros = len(logs), int(np.count_nonzero(p == 0.0))

@@ -1,10 +1,9 @@
 """A method of search: it asks for runs, gets their margins, and ends with findings.
 
-Its course is a generator: it yields points of independent standard normal numbers, from which all
-that varies follows (`Variation.place_values`), is sent the outputs of the runs there, and returns
-findings.
-It has no other input than its numbers and a seed, so that a search that was interrupted takes the
-same course again, with what is done taken from its results.
+Its course is a generator. It yields points of independent standard normal numbers, from which all
+varied values follow (`Variation.place_values`). It is sent the outputs of the runs at these points,
+and returns findings. Its numbers and a seed are its only inputs. An interrupted search therefore
+takes the same course again, and takes the finished runs from its results.
 """
 
 from __future__ import annotations

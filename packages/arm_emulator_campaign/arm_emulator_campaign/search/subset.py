@@ -1,15 +1,16 @@
 """Rare failures by subset simulation: levels of the margin, each reached from the one before.
 
-A level is begun from the points of the one before that are below it, by Markov chains that stay
-there: a candidate of a state z is r z + sqrt(1 - r^2) x with a new normal x, which leaves the
-normal distribution as it is (conditional sampling; Papaioannou and others, Probabilistic
-Engineering Mechanics 41, 2015). The probability is the product of the shares that reach the next
+A level begins from the points of the previous level that are below it, by Markov chains that stay
+below it. A candidate of a state z is r z + sqrt(1 - r^2) x with a new normal x. This step preserves
+the normal distribution (conditional sampling; Papaioannou and others, Probabilistic Engineering
+Mechanics 41, 2015). The probability is the product of the shares that reach the next
 level (Au and Beck, same journal 16, 2001).
 
 A pilot sets the levels, and r of each. Independent repetitions with these follow side by side.
-Levels and chains that do not adapt make the mean of each the true probability, however few its
-points (levels of its own would make it too large: 1.24 times for 1e-6 from 300 points a level),
-and how far repetitions differ gives the interval: nothing about the chains needs to be assumed.
+Since levels and chains do not adapt, the mean of each repetition is the true probability, however
+few its points. (Levels of its own would make it too large: 1.24 times for 1e-6 from 300 points a
+level.) The differences between repetitions give the interval: it needs no assumption about the
+chains.
 """
 
 from __future__ import annotations

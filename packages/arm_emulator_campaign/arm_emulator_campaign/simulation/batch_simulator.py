@@ -44,8 +44,8 @@ ROOM = 7 * BLOCK
 class BatchSimulator:
     """Simulates runs of a campaign whose targets go to the servo, many at a time.
 
-    A run is the same to the last bit whatever runs are beside it, and equals that of a `Simulator`
-    but for the rounding of lanes, some 1e-16 a step.
+    A run is the same to the last bit whatever runs are beside it. It equals that of a `Simulator`
+    except for the rounding of lanes, some 1e-16 a step.
 
     Attributes:
         width: runs at a time.
@@ -196,8 +196,8 @@ def _choose_judges(
 ) -> tuple[int, Evaluators, DeviceProgram | None]:
     """Return how many runs go at a time, what judges them, and its program if it is on a device.
 
-    The processor judges functions of Python, positions of the tool, which it computes, and runs of
-    any length, of which nobody knows how much a requirement keeps.
+    The processor judges functions of Python, and positions of the tool, which it computes. It
+    judges runs of any length, since the memory of their requirements is unknown.
     """
     if device is None:
         return WIDTH, Evaluators(campaign, ROOM, WIDTH), None

@@ -183,8 +183,8 @@ CSP = 8
 def test_ur5_moves_as_its_drives_do_in_process(tmp_path: Path) -> None:
     """Cyclic positions of six drives by the master's PDOs and SYNC, as drives and plant predict.
 
-    Every statusword and position that the master gets is compared with those of drives that get the
-    same targets in this process, and in the end every bit of the machine.
+    Drives in this process get the same targets. Every statusword and position that the master gets
+    is compared with theirs, and in the end every bit of the machine.
     """
     segment = load_segment("ur5")
     scene = segment.scene

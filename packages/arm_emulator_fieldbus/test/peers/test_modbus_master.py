@@ -63,8 +63,8 @@ def float_of(words: list[int]) -> float:
 def test_a_servo_loop_over_the_line_reaches_its_target(tmp_path: Path, errors: float) -> None:
     """The arm moves as the plant predicts from the same commands, to the last count.
 
-    A reply that was lost on the line is asked for again, which is one more write of commands, and
-    so one more servo period under them: the tick in each reply reports.
+    The master requests a lost reply again. This is one more write of commands, and so one more
+    servo period under them: the tick in each reply reports it.
     """
     session = Session(load_scene("three_axis"), "lockstep", "first_answer")
     line = "--error-rate", str(errors), "--seed", "3"

@@ -20,9 +20,10 @@ from arm_emulator_firmware.board import load_board
 from arm_emulator_firmware.elf_image import ElfImage
 from arm_emulator_firmware.microcontroller import Microcontroller
 
-# Firmware whose voltages follow from all that a chip remembers: registers of the FPU across
-# interrupts, the cycle counter within a line, both timers, a counter that was set, bytes that wait
-# on a serial line, code in RAM that it changes, masks, sleep, and a reset now and then.
+# Firmware whose voltages follow from the whole state of a chip. This state has registers of the FPU
+# across interrupts, the cycle counter within a line, both timers, and a counter that was set. It
+# has bytes that wait on a serial line, code in RAM that it changes, masks, sleep, and a reset now
+# and then.
 RESTLESS = """
 #define CYCCNT REGISTER(0xe0001004)
 #define RESETS (*(volatile uint32_t*)0x2001f000)

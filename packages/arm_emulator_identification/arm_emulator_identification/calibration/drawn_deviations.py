@@ -4,9 +4,9 @@ import numpy as np
 
 from arm_emulator.extension.machine import Deviation, UrdfJoint
 
-# Root mean squares over the joints of three UR10 as their maker has measured them (the tests of
-# ur_calibration in Universal_Robots_ROS2_Driver), each link's frame as near to the nominal one as
-# its axis lets it.
+# Root mean squares over the joints of three UR10, measured by their maker (the tests of
+# ur_calibration in Universal_Robots_ROS2_Driver). Each link's frame is as near to the nominal one
+# as its axis allows.
 LENGTH = 0.29e-3  # m, along each axis
 ANGLE = 2.3e-3  # rad, about each axis
 

@@ -5,12 +5,12 @@ squares with prior deviations, by the steps of Gauss and Newton on residuals r(x
 
     minimise  |r(x) / sigma|^2 + |x / prior|^2,     (J'J + D) dx = -J'r - D x
 
-The Jacobian is geometric: a twist of joint k in its own frame moves the tool by that twist. Of the
-numbers, not all act alone: shifts along parallel axes move the tool alike, and of each joint's six
-numbers a turn and a shift are the next joint's, too (Hollerbach and Wampler, The calibration index
+The Jacobian is geometric: a twist of joint k in its own frame moves the tool by that twist. Not all
+numbers are independent. Shifts along parallel axes move the tool alike, and of each joint's six
+numbers a turn and a shift are the next joint's, too. (Hollerbach and Wampler, The calibration index
 and taxonomy for robot kinematic calibration methods, 1996: 4 per turning joint, 2 per sliding one,
-and 6 act). Which these are follows from singular values and from pivots of QR; the prior divides
-what cannot be distinguished.
+and 6 are independent.) Singular values and pivots of QR show the independent numbers; the prior
+divides the others.
 """
 
 from collections.abc import Sequence
