@@ -210,8 +210,8 @@ MUTANTS = (
     ),
     Mutant(
         f"{MECHANICS}/drive.hpp",
-        "rotor.law.holding(make_link_torques<Rotor>(x, gear.Ng * T, rotor_direction(way)))",
-        "rotor.law.holding(make_link_torques<Rotor>(x, T, rotor_direction(way)))",
+        "rotor.law.holding_torque(make_link_torques<Rotor>(x, gear.Ng * T, rotor_direction(way)))",
+        "rotor.law.holding_torque(make_link_torques<Rotor>(x, T, rotor_direction(way)))",
         "frictions/test_load_friction.py frictions/test_rotor_friction.py",
     ),
     Mutant(
@@ -330,8 +330,8 @@ MUTANTS = (
     ),
     Mutant(
         f"{CORE_PARTS}/frictions/brake.hpp",
-        "return Law::sliding(w, on) + closed * brake.torque;",
-        "return Law::sliding(w, on);",
+        "return Law::sliding_torque(w, on) + closed * brake.torque;",
+        "return Law::sliding_torque(w, on);",
         "parts/test_brake.py",
     ),
     Mutant(

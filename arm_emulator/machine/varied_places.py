@@ -54,7 +54,7 @@ def write_place(joint: ChainJoint, calibration: Calibration, places: Mapping[str
     terms = [own[key] or format_number(numbers[key]) for key in NAMES]
     vectors = (", ".join(terms[k : k + 3]) for k in (0, 3))
     xyz, rpy = (f"{{{vector}}}" for vector in vectors)
-    return f"arm::displaced({described}, {_write_axes(joint.axes)}, {xyz}, {rpy})"
+    return f"arm::displace_link({described}, {_write_axes(joint.axes)}, {xyz}, {rpy})"
 
 
 def displace_joint(

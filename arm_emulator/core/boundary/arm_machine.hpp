@@ -57,7 +57,7 @@ bool has_sensor([[maybe_unused]] int j, [[maybe_unused]] Field field,
 
 // The drive of the deflection in a row of readings at a joint; -1: none.
 template <class S>
-constexpr int deflection_of([[maybe_unused]] int row, [[maybe_unused]] int joint) {
+constexpr int find_deflection([[maybe_unused]] int row, [[maybe_unused]] int joint) {
   if constexpr (kDeflects<S>)
     return S::deflection[row][joint];
   else
@@ -69,8 +69,8 @@ int describe_reading(int reading, int joint, arm_reading* out) {
   if constexpr (S::readings > 0) {
     const Reading& source = S::reading[reading];
     const int drive = drive_of<S>(joint), sensor = reading - count_deflections<S>();
-    const bool slides = kind_of<S>(drive) != JointKind::revolute;
-    out->present = sensor < 0 ? deflection_of<S>(reading, joint) >= 0
+    const bool slides = joint_kind<S>(drive) != JointKind::revolute;
+    out->present = sensor < 0 ? find_deflection<S>(reading, joint) >= 0
                               : has_sensor<S>(drive, Field::reading, sensor);
     out->name = source.name, out->unit = slides ? source.unit_of_slides : source.unit;
   }
@@ -199,11 +199,11 @@ struct arm_machine {
   }
   // A row of joints to one of drives, of which the others stay as they are, and back.
   template <class Number, class To>
-  static void to_drives(const Number* row, To* drives) {
+  static void copy_to_drives(const Number* row, To* drives) {
     for (int j = 0; j < J; ++j) drives[arm::drive_of<Scene>(j)] = row[j];
   }
   template <class Number, class To>
-  static void to_joints(const Number* drives, To* row) {
+  static void copy_to_joints(const Number* drives, To* row) {
     for (int j = 0; j < J; ++j) row[j] = drives[arm::drive_of<Scene>(j)];
   }
   using Drives = arm::DriveRow<Scene, double>;
@@ -221,7 +221,7 @@ struct arm_machine {
         const Drives applied = apply_power(command);
         advance_with_sensors(steps,
                              [&](std::int64_t chunk) { machine.advance(applied.of, chunk); });
-        to_joints(machine.state().q, q);
+        copy_to_joints(machine.state().q, q);
       }
     }
   }
@@ -375,13 +375,14 @@ struct arm_machine {
     if (more && out->current_d) {
       double of_drives[N];
       machine.currents_d(of_drives);
-      to_joints(of_drives, out->current_d);
+      copy_to_joints(of_drives, out->current_d);
     }
     if constexpr (Scene::inputs > 0)
       if (has_field(out, sizeof *out) && out->further) {
         double of_drives[Scene::inputs * N + 1];  // a scene may have no further inputs
         machine.applied_inputs(of_drives);
-        for (int r = 0; r < Scene::inputs; ++r) to_joints(of_drives + r * N, out->further + r * J);
+        for (int r = 0; r < Scene::inputs; ++r)
+          copy_to_joints(of_drives + r * N, out->further + r * J);
       }
     double* readings = has_field(out, offsetof(arm_measurement, further)) ? out->readings : nullptr;
     write_deflections(readings, [&](int drive) { return motors.angle[drive]; });
@@ -395,12 +396,12 @@ struct arm_machine {
   static void write_deflections(double* readings, Position&& position) {
     for (int row = 0; readings && row < arm::count_deflections<Scene>(); ++row)
       for (int j = 0; j < J; ++j) {
-        const int drive = arm::deflection_of<Scene>(row, j);
+        const int drive = arm::find_deflection<Scene>(row, j);
         readings[row * J + j] = drive < 0 ? 0.0 : position(drive);
       }
   }
   // The joint that diverged, or in whose bearing a deflection did; -1: none.
-  int faulty_joint() const { return arm::joint_of<Scene>(machine.faulty_joint()); }
+  int faulty_joint() const { return arm::find_joint<Scene>(machine.faulty_joint()); }
   static bool has_field(const arm_measurement* out, std::size_t size) { return out->size >= size; }
 
   // Destination of readings; all but the first may be null.

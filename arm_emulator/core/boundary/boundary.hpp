@@ -129,7 +129,7 @@ namespace {
 
 int check_wrench(const arm_machine* machine, std::int32_t link, const arm_wrench* wrench,
                  arm::GivenWrench& wrench_numbers) {
-  const int joint = arm::kCoupled<Scene> ? -1 : arm::joint_of<Scene>(link);
+  const int joint = arm::kCoupled<Scene> ? -1 : arm::find_joint<Scene>(link);
   if (machine->check_wrench_link(link) || machine->check_size(wrench)) return ARM_REFUSED;
   if (wrench->axes != ARM_LINK_AXES && wrench->axes != ARM_WORLD_AXES)
     return machine->refuse(joint, "axes", "be one of enum arm_axes", wrench->axes);
@@ -181,7 +181,7 @@ int arm_get_truth(const arm_machine* machine, arm_truth* out) {
   double* const to[] = {out->current, out->motor_angle, out->motor_speed,
                         out->q,       out->v,           out->gear_torque};
   for (int row = 0; row < 6; ++row)
-    if (to[row]) arm_machine::to_joints(from[row], to[row]);
+    if (to[row]) arm_machine::copy_to_joints(from[row], to[row]);
   out->fault = machine->faulty_joint();
   out->time = machine->machine.time();
   if (out->energy) *out->energy = machine->machine.energy();
@@ -203,14 +203,14 @@ void arm_get_winding_temperatures(const arm_machine* machine, double* out) {
   double of_drives[arm_machine::N];
   if (!machine || !out) return;
   machine->machine.winding_temperatures(of_drives);
-  arm_machine::to_joints(of_drives, out);
+  arm_machine::copy_to_joints(of_drives, out);
 }
 
 void arm_get_gear_temperatures(const arm_machine* machine, double* out) {
   double of_drives[arm_machine::N];
   if (!machine || !out) return;
   machine->machine.gear_temperatures(of_drives);
-  arm_machine::to_joints(of_drives, out);
+  arm_machine::copy_to_joints(of_drives, out);
 }
 
 ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
@@ -226,7 +226,7 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
   for (int row = 0; row < 5; ++row) {
     if (!from[row]) continue;
     if (machine->check_finite(from[row], names[row])) return ARM_REFUSED;
-    arm_machine::to_drives(from[row], to[row]);
+    arm_machine::copy_to_drives(from[row], to[row]);
   }
   int result = ARM_OK;
   machine->machine.numbers().for_each_drive([&](const auto& drive, int j) {
@@ -235,7 +235,7 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
     const auto differs = [&](const double* row, double actual, double expected) {
       return row && arm::magnitude(actual - expected) > 1e-9 * (1.0 + arm::magnitude(expected));
     };
-    const int joint = arm::joint_of<Scene>(j);
+    const int joint = arm::find_joint<Scene>(j);
     if (!drive.driven && truth->current && current[j] != 0.0)
       result = machine->refuse(joint, names[0], "be 0 without a motor", current[j]);
     if (limit > 0.0 && arm::magnitude(current[j]) > limit)

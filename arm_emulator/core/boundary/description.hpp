@@ -46,7 +46,7 @@ int arm_describe_joint(std::int32_t joint, arm_joint_description* out) {
   all.size = out->size;
   all.name = Scene::device[of_joint].name;
   all.kind =
-      arm::kind_of<Scene>(of_joint) == arm::JointKind::revolute ? ARM_REVOLUTE : ARM_PRISMATIC;
+      arm::joint_kind<Scene>(of_joint) == arm::JointKind::revolute ? ARM_REVOLUTE : ARM_PRISMATIC;
   all.counts_per_rad = Scene::device[of_joint].counts_per_rad;
   arm::for_each_drive<Scene>([&](const auto& drive, int j) {
     if (j != of_joint) return;

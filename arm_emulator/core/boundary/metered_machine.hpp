@@ -9,10 +9,10 @@ namespace {
 
 void write_flow(const auto& flow, double* out) {
   constexpr int J = arm_machine::J;
-  arm_machine::to_joints(flow.supplied, out);
-  arm_machine::to_joints(flow.dissipated, out + J);
+  arm_machine::copy_to_joints(flow.supplied, out);
+  arm_machine::copy_to_joints(flow.dissipated, out + J);
   for (int drive = 0; drive < arm_machine::N; ++drive)  // deflections count to their joint
-    if (const int j = arm::joint_of<Scene>(drive); drive != arm::drive_of<Scene>(j)) {
+    if (const int j = arm::find_joint<Scene>(drive); drive != arm::drive_of<Scene>(j)) {
       out[j] += flow.supplied[drive];
       out[J + j] += flow.dissipated[drive];
     }
@@ -33,7 +33,7 @@ int call_metered([[maybe_unused]] auto* machine, [[maybe_unused]] auto&& meter) 
 int arm_powers(const arm_machine* machine, const double* command, double* out) {
   return call_metered<Scene>(machine, [&](const auto& one) {
     if (one.check_finite(command, "command") || one.check_pointer(out, "out")) return ARM_REFUSED;
-    write_flow(one.machine.powers(one.apply_power(command).of), out);
+    write_flow(one.machine.measure_powers(one.apply_power(command).of), out);
     return ARM_OK;
   });
 }

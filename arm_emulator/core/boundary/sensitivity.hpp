@@ -55,7 +55,7 @@ void write_row(const arm_sensitive_run& run, std::int64_t part, std::int64_t row
   constexpr int N = arm::count_joints<Scene>();
   Real of[5][N];
   numbers.for_each_drive([&](const auto& drive, int number) {
-    const int j = arm::joint_of<Scene>(number);
+    const int j = arm::find_joint<Scene>(number);
     if (arm::drive_of<Scene>(j) != number) return;
     const auto at = arm::input_of(drive, number, x, 0.0);
     of[0][j] = x.q[number], of[1][j] = x.v[number];

@@ -263,7 +263,7 @@ class Machine {
   void clamp_commands(Real* u) const { bound_commands(numbers_, x_, u); }
 
   // Power supplied to and dissipated by each joint now, under these commands [W].
-  EnergyFlow<S> powers(const Real* command) const {
+  EnergyFlow<S> measure_powers(const Real* command) const {
     Real u[N];
     for (int j = 0; j < N; ++j) u[j] = command[j];
     clamp_commands(u);

@@ -48,7 +48,7 @@ class Coulomb {
         n_.for_each_drive_of(lane, [&](const auto& drive, int j) {
           const auto now = modes(drive, j, lane);
           const auto at = [&](const State<S, X>& state) {
-            return drive.with(input_in_lane(drive, j, state, u[j], lane), now);
+            return drive.apply_modes(input_in_lane(drive, j, state, u[j], lane), now);
           };
           const Real v = lane_of(x.v[j], lane);
           for (int side = 0; side < FrictionTorques::sides; ++side) {
@@ -59,10 +59,10 @@ class Coulomb {
               break;
             }
             const Real sign = slides ? sign_of(v) : side == 0 ? Real{1.0} : Real{-1.0};
-            set_lane(torques_.Dc[side][j], lane, drive.sliding(at(x), now.active(), sign));
+            set_lane(torques_.Dc[side][j], lane, drive.sliding_torque(at(x), now.active(), sign));
             if (!slides)
               set_lane(torques_.Ds[side][j], lane,
-                       drive.holding(at(load_state), now.active(), sign));
+                       drive.holding_torque(at(load_state), now.active(), sign));
           }
           set_lane(torques_.dry[j], lane, drive.is_dry());
         });
@@ -77,10 +77,10 @@ class Coulomb {
             lane_of(X{} + select(locked_[j], X{} + 1.0, X{}), lane) != 0.0)
           return;
         const auto now = modes(drive, j, lane);
-        const auto at = drive.with(input_in_lane(drive, j, y, u[j], lane), now);
+        const auto at = drive.apply_modes(input_in_lane(drive, j, y, u[j], lane), now);
         const Real sign = lane_of(direction_[j], lane);
         const Real more =
-            drive.sliding(at, now.active(), sign) - lane_of(Dc(j, direction_[j]), lane);
+            drive.sliding_torque(at, now.active(), sign) - lane_of(Dc(j, direction_[j]), lane);
         set_lane(change[j], lane, lane_of(change[j], lane) - more * sign);
       });
   }
@@ -115,7 +115,7 @@ class Coulomb {
     Mask<X> slide = X{} == X{};
     for (int j = 0; j < N; ++j) {
       lock_torque_[j] = rhs[j];
-      slide &= negated(locked_[j]);
+      slide &= invert_mask(locked_[j]);
     }
     if (all(slide | are_all_holding(rhs))) return;
     auto M = mass();
@@ -189,8 +189,9 @@ class Coulomb {
       const auto& locked = modes.locked[j];
       const X sign = modes.direction[j];
       const auto holds =
-          (v[j] == 0.0) & negated(magnitude(lock_torque_[j]) > Ds(j, lock_torque_[j]));
-      same &= where(locked, holds) | where(negated(locked), (sign == 0.0) | (v[j] * sign > 0.0));
+          (v[j] == 0.0) & invert_mask(magnitude(lock_torque_[j]) > Ds(j, lock_torque_[j]));
+      same &=
+          where(locked, holds) | where(invert_mask(locked), (sign == 0.0) | (v[j] * sign > 0.0));
     }
     return all(same);
   }
@@ -241,7 +242,7 @@ class Coulomb {
   Mask<X> are_all_holding(const X* torque) const {
     Mask<X> rest = X{} == X{};
     for (int j = 0; j < N; ++j)
-      rest &= where(locked_[j], negated(magnitude(torque[j]) > Ds(j, torque[j])));
+      rest &= where(locked_[j], invert_mask(magnitude(torque[j]) > Ds(j, torque[j])));
     return rest;
   }
 
@@ -330,7 +331,7 @@ class Coulomb {
     return true;
   }
 
-  ARM_INLINE static Mask<X> negated(const Mask<X>& mask) {
+  ARM_INLINE static Mask<X> invert_mask(const Mask<X>& mask) {
     if constexpr (kWidth<X> == 1)
       return !mask;
     else

@@ -157,8 +157,8 @@ struct Drive {
     X P = viscous_torque(friction, x.v, factors) * x.v +
           sliding_under(x, T, sign_of(x.v)) * magnitude(x.v);
     if constexpr (elastic && Rotor::modes > 0)
-      P += rotor.dissipated(x.z[wm], torque_on_rotor(x, T), drive_torque(x, active),
-                            x.offset[of_rotor], factors);
+      P += rotor.dissipated_power(x.z[wm], torque_on_rotor(x, T), drive_torque(x, active),
+                                  x.offset[of_rotor], factors);
     if constexpr (carries_rotor && Rotor::modes > 0)
       P += viscous_torque(rotor.law, motor_speed(x), factors) * motor_speed(x);
     return P;
@@ -222,26 +222,27 @@ struct Drive {
   }
   // Torque against the link, which slides that `way`: 1 or -1.
   template <class X>
-  ARM_INLINE constexpr X sliding(const Input<X>& x, unsigned active, X way) const {
+  ARM_INLINE constexpr X sliding_torque(const Input<X>& x, unsigned active, X way) const {
     return sliding_under(x, transmitted_torque(x, active), way);
   }
   // Sliding torque under the torque T of the gear on its link.
   template <class X>
   ARM_INLINE constexpr X sliding_under(const Input<X>& x, X T, X way) const {
-    X dry = friction.sliding(x.v, make_link_torques<LinkFriction>(x, T, way));
+    X dry = friction.sliding_torque(x.v, make_link_torques<LinkFriction>(x, T, way));
     if constexpr (carries_rotor && Rotor::modes > 0)
-      dry += rotor.law.sliding(motor_speed(x),
-                               make_link_torques<Rotor>(x, gear.Ng * T, rotor_direction(way))) /
+      dry += rotor.law.sliding_torque(
+                 motor_speed(x), make_link_torques<Rotor>(x, gear.Ng * T, rotor_direction(way))) /
              magnitude(gear.Ng);
     return dry;
   }
   template <class X>
-  ARM_INLINE constexpr X holding(const Input<X>& x, unsigned active, X way) const {
+  ARM_INLINE constexpr X holding_torque(const Input<X>& x, unsigned active, X way) const {
     const X T = transmitted_torque(x, active);
-    X dry = friction.holding(make_link_torques<LinkFriction>(x, T, way));
+    X dry = friction.holding_torque(make_link_torques<LinkFriction>(x, T, way));
     if constexpr (carries_rotor && Rotor::modes > 0)
-      dry += rotor.law.holding(make_link_torques<Rotor>(x, gear.Ng * T, rotor_direction(way))) /
-             magnitude(gear.Ng);
+      dry +=
+          rotor.law.holding_torque(make_link_torques<Rotor>(x, gear.Ng * T, rotor_direction(way))) /
+          magnitude(gear.Ng);
     return dry;
   }
 
@@ -255,8 +256,8 @@ struct Drive {
     Input<Real> x = {};
     x.q = q, x.v = v;
     set_motor(x, 0.0, q / gear.Ng, v / gear.Ng);
-    if constexpr (elastic && requires { gear.unload(q, v, x.z[0], x.z[0]); })
-      gear.unload(q, v, x.z[tm], x.z[wm]);
+    if constexpr (elastic && requires { gear.set_unloaded(q, v, x.z[0], x.z[0]); })
+      gear.set_unloaded(q, v, x.z[tm], x.z[wm]);
     return x;
   }
 
@@ -278,7 +279,7 @@ struct Drive {
   // Torque of the gear on its link, which accelerates at `a` [N m].
   constexpr Real gear_torque(const Input<Real>& x, Real a) const {
     const Modes now = modes_at(x);
-    return transmitted_torque(with(x, now), now.active()) - carried() * a;
+    return transmitted_torque(apply_modes(x, now), now.active()) - carried() * a;
   }
 
   // Whether extras have potential energy, and whether supplied power grows with the speed.
@@ -358,14 +359,15 @@ struct Drive {
     return at;
   }
   // The modes for which x calls at the end of a step in `now` from `start`: `now` if they hold.
-  constexpr Modes required(const Input<Real>& start, const Input<Real>& x, const Modes& now) const {
+  constexpr Modes required_mode(const Input<Real>& start, const Input<Real>& x,
+                                const Modes& now) const {
     Modes at = now;
     if constexpr (driven && Motor::modes > 0)
-      at.at[0] = motor.required(x.z, x.u, voltage_speed(x), now.at[0]);
+      at.at[0] = motor.required_mode(x.z, x.u, voltage_speed(x), now.at[0]);
     set_modes_of_state(x, at);
     if constexpr (elastic && Rotor::modes > 0)
       at.at[of_rotor] =
-          rotor.required(start.z[wm], x.z[wm], rotor_torques(x, now), now.at[of_rotor]);
+          rotor.required_mode(start.z[wm], x.z[wm], rotor_torques(x, now), now.at[of_rotor]);
     return at;
   }
   // Distance of x from the next change of mode, negative if a mode no longer holds. (The least of
@@ -409,7 +411,7 @@ struct Drive {
   }
 
   // x with the numbers of these modes.
-  constexpr Input<Real> with(Input<Real> x, const Modes& now) const {
+  constexpr Input<Real> apply_modes(Input<Real> x, const Modes& now) const {
     for (int m = 0; m < modes; ++m) x.offset[m] = now.at[m].offset;
     return x;
   }
@@ -510,7 +512,7 @@ struct Drive {
        }));
 
   constexpr RotorTorques rotor_torques(const Input<Real>& at, const Modes& now) const {
-    const Input<Real> x = with(at, now);
+    const Input<Real> x = apply_modes(at, now);
     const unsigned active = now.active();
     RotorTorques on = {drive_torque(x, active), torque_on_rotor(x, gear_torque_on_link(x, active)),
                        kRounding * magnitude(gear.Ng * gear.Kg * x.q), friction_factors_at(x)};

@@ -38,7 +38,7 @@ __attribute__((noinline)) Energy energy_of(const Numbers<S>& n, const State<S>& 
     if constexpr (Drive::friction_varies) {
       const auto at = input_of(drive, j, x, 0.0);
       const auto modes = drive.modes_at(at);
-      Dc = drive.sliding(drive.with(at, modes), modes.active(), sign_of(x.v[j]));
+      Dc = drive.sliding_torque(drive.apply_modes(at, modes), modes.active(), sign_of(x.v[j]));
     }
     E.jolt += Dc * Dc / (M.at[j][j] + n.carried(j));
     for (int m = j + 1; m < S::N; ++m) E.stored += x.v[j] * M.at[j][m] * x.v[m];

@@ -31,7 +31,7 @@ EnergyFlow<S> compute_powers(const Numbers<S>& n, const State<S>& x, const Real*
   EnergyFlow<S> power;
   n.for_each_drive([&](const auto& drive, int j) {
     const auto now = modes.drive_modes(drive, j);
-    const auto at = drive.with(input_of(drive, j, x, u[j]), now);
+    const auto at = drive.apply_modes(input_of(drive, j, x, u[j]), now);
     power.supplied[j] = compute_supplied_power(drive, at, now.active());
     power.dissipated[j] = compute_dissipation(drive, at, now.active());
   });

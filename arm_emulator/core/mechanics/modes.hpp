@@ -32,7 +32,7 @@ class Modes {
       : n_(&numbers) {
     n_->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if constexpr (Drive::modes > 0)
-        this->drive[j] = resized<M>(drive.modes_at(input_of(drive, j, x, u[j])));
+        this->drive[j] = resize_modes<M>(drive.modes_at(input_of(drive, j, x, u[j])));
     });
     if constexpr (Friction::present) {
       Friction coulomb(*n_);
@@ -55,7 +55,7 @@ class Modes {
   // Modes of the drive of joint j alone.
   template <class Drive>
   DriveModes<Drive::modes> drive_modes(const Drive&, int j) const {
-    return resized<Drive::modes>(drive[j]);
+    return resize_modes<Drive::modes>(drive[j]);
   }
 
   // The links' accelerations at x.
@@ -78,7 +78,7 @@ class Modes {
     compute_accelerations(x, u, links, a, coulomb);
     n_->for_each_drive([&](const auto& drive, int j) {
       const auto now = drive_modes(drive, j);
-      const auto at = drive.with(input_of(drive, j, x, u[j]), now);
+      const auto at = drive.apply_modes(input_of(drive, j, x, u[j]), now);
       body(drive, j, at, now.active(), drive.rates(at, now.active()).f, a[j]);
     });
   }
@@ -150,7 +150,7 @@ class Modes {
   void compute_torques(const State<S>& x, const Real* u, const Dynamics& links, Real* rhs) const {
     n_->for_each_drive([&](const auto& drive, int j) __attribute__((always_inline)) {
       const auto modes = drive_modes(drive, j);
-      const auto at = drive.with(input_of(drive, j, x, u[j]), modes);
+      const auto at = drive.apply_modes(input_of(drive, j, x, u[j]), modes);
       rhs[j] = drive.rates(at, modes.active()).g - links.nle[j];
     });
   }

@@ -56,8 +56,8 @@ struct DerivedNumbers {
   }
   constexpr void set(int j, const auto& drive) {
     carried[j] = drive.carried();
-    Dc[j] = drive.sliding(drive.make_rest_state(0.0, 0.0), 0, Real{1.0});
-    Ds[j] = drive.holding(drive.make_rest_state(0.0, 0.0), 0, Real{1.0});
+    Dc[j] = drive.sliding_torque(drive.make_rest_state(0.0, 0.0), 0, Real{1.0});
+    Ds[j] = drive.holding_torque(drive.make_rest_state(0.0, 0.0), 0, Real{1.0});
   }
 };
 

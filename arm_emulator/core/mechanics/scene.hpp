@@ -33,7 +33,7 @@ ARM_INLINE constexpr void for_each_number_of(auto&& number, auto&... body) {
 }
 
 // A body that carries m times what 1 kg of load is.
-constexpr Body<Real> loaded(Body<Real> bare, Real m, const Body<Real>& per_kg) {
+constexpr Body<Real> add_load(Body<Real> bare, Real m, const Body<Real>& per_kg) {
   for_each_number_of([m](Real& sum, const Real& share) { sum = sum + m * share; }, bare, per_kg);
   return bare;
 }
@@ -92,7 +92,7 @@ constexpr void small_sincos(Real angle, Real& sin, Real& cos) {
 }
 
 // A field g as seen from a base that is turned by an angle [rad], at most 1, about a unit vector.
-constexpr Vec3<Real> turned(const Vec3<Real>& g, const Vec3<Real>& axis, Real angle) {
+constexpr Vec3<Real> rotate_field(const Vec3<Real>& g, const Vec3<Real>& axis, Real angle) {
   Real sin = 0.0, cos = 0.0;
   small_sincos(angle, sin, cos);
   const Vec3<Real> across = cross(axis, g);
@@ -102,8 +102,8 @@ constexpr Vec3<Real> turned(const Vec3<Real>& g, const Vec3<Real>& axis, Real an
 // A link whose joint's frame is displaced, as seen from that of the description: by x y z [m] and
 // by roll, pitch and yaw [rad] as in a URDF. `described`: that frame in the parent's; `own`: turns
 // its vectors into the link's axes.
-constexpr LinkPlace<Real> displaced(const LinkPlace<Real>& described, const Axes<Real>& own,
-                                    const Vec3<Real>& xyz, const Vec3<Real>& rpy) {
+constexpr LinkPlace<Real> displace_link(const LinkPlace<Real>& described, const Axes<Real>& own,
+                                        const Vec3<Real>& xyz, const Vec3<Real>& rpy) {
   Real sr = 0.0, cr = 0.0, sp = 0.0, cp = 0.0, sy = 0.0, cy = 0.0;
   small_sincos(rpy.x, sr, cr), small_sincos(rpy.y, sp, cp), small_sincos(rpy.z, sy, cy);
   const Axes<Real> turn = {{cy * cp, sy * cp, -sp},
@@ -156,7 +156,7 @@ inline constexpr bool kCoupled = requires { S::coupling; };
 
 // Kind of the joint after which the shaft of drive j is named.
 template <class S>
-constexpr JointKind kind_of(int j) {
+constexpr JointKind joint_kind(int j) {
   if constexpr (kCoupled<S>)
     return kLinks<S>.at[S::link_of[j]].kind;
   else
@@ -184,7 +184,7 @@ constexpr int drive_of(int joint) {
 }
 // The joint of a drive, or in whose bearing it is a deflection; -1 of -1.
 template <class S>
-constexpr int joint_of(int drive) {
+constexpr int find_joint(int drive) {
   int joint = drive < 0 ? drive : count_joints<S>() - 1;
   while (joint >= 0 && drive_of<S>(joint) > drive) --joint;
   return joint;

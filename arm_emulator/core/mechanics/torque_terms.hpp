@@ -83,7 +83,7 @@ class TorqueTerms {
     }
     n.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       const auto now = modes.drive_modes(drive, j);
-      const auto at = drive.with(input_of(drive, j, x, u[j]), now);
+      const auto at = drive.apply_modes(input_of(drive, j, x, u[j]), now);
       const auto on = compute_drive_torques(drive, at, now.active());
       Real inertia = 0.0;
       for (int k = 0; k < N; ++k) inertia -= links.M.entry(j, k) * a[k];

@@ -11,7 +11,7 @@
 namespace arm {
 
 // A word of which each bit depends on all bits of x (Steele, Lea and Flood 2014, SplitMix64).
-constexpr std::uint64_t mixed(std::uint64_t x) {
+constexpr std::uint64_t mix_bits(std::uint64_t x) {
   x = (x ^ (x >> 30)) * 0xbf58476d1ce4e5b9;
   x = (x ^ (x >> 27)) * 0x94d049bb133111eb;
   return x ^ (x >> 31);
@@ -23,13 +23,13 @@ struct Noise {
   std::uint64_t key;
 
   static constexpr Noise make_stream(double seed, int who) {
-    return {mixed(mixed(std::bit_cast<std::uint64_t>(seed) + kGolden) +
-                  kGolden * static_cast<std::uint64_t>(who + 1))};
+    return {mix_bits(mix_bits(std::bit_cast<std::uint64_t>(seed) + kGolden) +
+                     kGolden * static_cast<std::uint64_t>(who + 1))};
   }
 
   // Uniform, above 0 and at most 1.
   double uniform(std::int64_t number) const {
-    const std::uint64_t word = mixed(key + kGolden * static_cast<std::uint64_t>(number));
+    const std::uint64_t word = mix_bits(key + kGolden * static_cast<std::uint64_t>(number));
     return static_cast<double>((word >> 11) + 1) * 0x1p-53;
   }
   // A draw of the exponential distribution, of mean 1.
@@ -44,7 +44,7 @@ struct Noise {
 // Whether the sample of that number repeats the previous reading; its draws are independent of all
 // others.
 inline bool repeats_reading(double probability, const Noise& noises, std::int64_t number) {
-  return probability > 0.0 && Noise{mixed(noises.key + 1)}.uniform(number) <= probability;
+  return probability > 0.0 && Noise{mix_bits(noises.key + 1)}.uniform(number) <= probability;
 }
 
 }  // namespace arm

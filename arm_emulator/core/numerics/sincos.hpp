@@ -34,7 +34,7 @@ struct Reduced<double> {
 // By Cody and Waite (1980): x - n pi/2, with pi/2 in three parts. The first difference is exact, as
 // a multiple of 2^-53 below 1.
 template <class X>
-ARM_INLINE Reduced<X> reduced(const X& x) {
+ARM_INLINE Reduced<X> reduce_angle(const X& x) {
   const X shifted = fma(x, 0.63661977236758134308, kOnes);
   const X n = kOnes - shifted;
   const X first_difference = fma(n, 0x1.921fb54442d18p+0, x);
@@ -120,7 +120,7 @@ ARM_INLINE SinCos<X> sincos_of(const Reduced<X>& reduced) {
 // Sine and cosine in each lane, one by one where the angle is too large for `reduced`.
 template <class X>
 __attribute__((noinline)) SinCos<X> sincos_anywhere(const X& x) {
-  SinCos<X> result = sincos_of(reduced(x));
+  SinCos<X> result = sincos_of(reduce_angle(x));
   for (int lane = 0; lane < kWidth<X>; ++lane) {
     if (magnitude(lane_of(x, lane)) < kReducible) continue;
     const auto lane_schedule = sincos_of(reduced_anywhere(lane_of(x, lane)));
@@ -133,7 +133,7 @@ __attribute__((noinline)) SinCos<X> sincos_anywhere(const X& x) {
 // Within 1.5 ulp of the exact values, beyond kReducible within 2.5 ulp.
 template <class X>
 ARM_INLINE SinCos<X> sincos(const X& x) {
-  if (__builtin_expect(!any(magnitude(x) >= kReducible), 1)) return sincos_of(reduced(x));
+  if (__builtin_expect(!any(magnitude(x) >= kReducible), 1)) return sincos_of(reduce_angle(x));
   return sincos_anywhere(x);
 }
 

@@ -24,10 +24,10 @@ struct Bearing {
     return -K * q - D * v;
   }
   template <class X>
-  ARM_INLINE constexpr X stored(X q, const X*) const {
+  ARM_INLINE constexpr X stored_energy(X q, const X*) const {
     return 0.5 * K * q * q;
   }
-  constexpr Real dissipated(Real, Real v, const Real*, bool) const { return D * v * v; }
+  constexpr Real dissipated_power(Real, Real v, const Real*, bool) const { return D * v * v; }
 };
 
 }  // namespace arm

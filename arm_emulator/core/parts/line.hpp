@@ -81,7 +81,7 @@ class LineDirection {
     for (int k = 0; k < words; ++k) to[k] = from[k];
   }
   static double draw_number(const Noise& noises, int who, std::int64_t number) {
-    return Noise{mixed(noises.key + static_cast<std::uint64_t>(who))}.uniform(number);
+    return Noise{mix_bits(noises.key + static_cast<std::uint64_t>(who))}.uniform(number);
   }
 
   Frame sent_[kLength] = {};  // of the newest ticks, each at its tick modulo their number

@@ -5,9 +5,9 @@
 // torque, the position of a contact. Such a part has
 //
 //   mode_at(...)         the mode that a state calls for,
-//   required(...)        the one that the end of a step calls for: the same where it holds,
+//   required_mode(...)   the one that the end of a step calls for: the same where it holds,
 //   margin(...)          how far a state is from where the mode ceases to hold, negative beyond,
-//   enforce_modes(...)          and puts a state where its mode holds it, against rounding.
+//   enforce_modes(...)   and puts a state where its mode holds it, against rounding.
 //   is_regular(...)        Optional and faster: whether a state, as the start
 //                        and as the end of a step, surely calls for the regular mode, number 0.
 #pragma once
@@ -41,7 +41,7 @@ struct DriveModes {
 // The first m of them, or all of them and more that are in their regular modes: a drive has as many
 // as its parts, and a scene as many as any of its drives.
 template <int m, int M>
-constexpr DriveModes<m> resized(const DriveModes<M>& modes) {
+constexpr DriveModes<m> resize_modes(const DriveModes<M>& modes) {
   DriveModes<m> some;
   for (int k = 0; k < m && k < M; ++k) some.at[k] = modes.at[k];
   return some;

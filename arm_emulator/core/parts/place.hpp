@@ -10,7 +10,7 @@ enum class Place { rotor, link };
 
 // Whether a part has an energy that may become negative.
 template <class Part>
-concept HasPotential = requires(const Part& part) { part.potential(0.0); };
+concept HasPotential = requires(const Part& part) { part.potential_energy_at(0.0); };
 
 // Whether a part has a temperature that friction follows.
 template <class Part>

@@ -33,11 +33,11 @@ struct UnilateralSpring {
   }
 
   template <class X>
-  ARM_INLINE constexpr X stored(X u) const {
+  ARM_INLINE constexpr X stored_energy(X u) const {
     return select(u > 0.0, 0.5 * K * u * u, X{});
   }
   // While it pushes, and while it does not.
-  constexpr Real dissipated(Real u, Real du, bool pushing) const {
+  constexpr Real dissipated_power(Real u, Real du, bool pushing) const {
     if (pushing) return D * du * du;
     return u > 0.0 ? -K * u * du : 0.0;
   }

@@ -184,7 +184,7 @@ class DerivativeReplay {
           now = drive.modes_at(at);
           for (int m = 0; m < Drive::modes; ++m) now.at[m].active = is_active(piece.active[j], m);
         }
-        modes.drive[j] = resized<Modes<S>::M>(now);
+        modes.drive[j] = resize_modes<Modes<S>::M>(now);
       }
     });
     return modes;

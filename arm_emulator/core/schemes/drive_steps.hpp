@@ -87,8 +87,8 @@ class DriveSteps {
   // Torque of dry friction against the motion of a link that slides.
   Real friction_torque(const auto& drive, int j, const One* at, const Inputs& in) const {
     if constexpr (Coulomb<S, Real>::varies)
-      return drive.sliding(make_input(drive, at, in), tables_.modes_of(j).active(),
-                           friction_.direction[j]) *
+      return drive.sliding_torque(make_input(drive, at, in), tables_.modes_of(j).active(),
+                                  friction_.direction[j]) *
              friction_.direction[j];
     else if constexpr (Coulomb<S, Real>::present)
       return n_.Dc(j) * friction_.direction[j];

@@ -86,7 +86,8 @@ struct Elimination {
 
 // The table of a linearly implicit scheme with 1 or 2 stages (linearly_implicit.hpp).
 template <int R, int K, int M>
-ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, Real h, int stages) {
+ARM_APART DriveTable<K, M, R> make_implicit_table(const LinearDrive<K, M>& drive, Real h,
+                                                  int stages) {
   using In = StepInput<K, M, R>;
   using X = Real;
   constexpr int n = LinearDrive<K, M>::kRows;
@@ -138,7 +139,7 @@ struct MakeImplicit {
   int stages;
   template <int R, int K, int M>
   auto operator()(const LinearDrive<K, M>& drive) const {
-    return implicit_table<R>(drive, h, stages);
+    return make_implicit_table<R>(drive, h, stages);
   }
 };
 
@@ -146,7 +147,7 @@ struct MakeImplicit {
 // torque on the link at the states after it. The drive's nonlinear part is that at the step's
 // start.
 template <int R, int K, int M>
-ARM_ONCE DriveTable<K, M, R> paper_table(const LinearDrive<K, M>& drive, Real h) {
+ARM_ONCE DriveTable<K, M, R> make_paper_table(const LinearDrive<K, M>& drive, Real h) {
   using In = StepInput<K, M, R>;
   constexpr int n = LinearDrive<K, M>::kRows;
   Real E[n][n] = {};
@@ -174,7 +175,7 @@ struct MakePaper {
   Real h;
   template <int R, int K, int M>
   auto operator()(const LinearDrive<K, M>& drive) const {
-    return paper_table<R>(drive, h);
+    return make_paper_table<R>(drive, h);
   }
 };
 

@@ -143,7 +143,7 @@ class DriveTables : public ModalDrives<S, X>,
       if constexpr (Drive::modes > 0) {
         const auto at = input_of(drive, j, x, u[j]);
         if (is_certainly_regular(drive, j, at)) return;
-        this->set_modes(j, resized<Modal::M>(drive.modes_at(at)));
+        this->set_modes(j, resize_modes<Modal::M>(drive.modes_at(at)));
       }
     });
   }
@@ -156,8 +156,8 @@ class DriveTables : public ModalDrives<S, X>,
         const auto end = input_of(drive, j, y, u[j]);
         if (is_certainly_regular(drive, j, end)) return;
         const Modes& now = this->modes_of(j);
-        const Modes required = resized<Modal::M>(
-            drive.required(input_of(drive, j, x, u[j]), end, resized<Drive::modes>(now)));
+        const Modes required = resize_modes<Modal::M>(
+            drive.required_mode(input_of(drive, j, x, u[j]), end, resize_modes<Drive::modes>(now)));
         if (required == now) return;
         hold = false;
         this->set_modes(j, required);
@@ -179,8 +179,8 @@ class DriveTables : public ModalDrives<S, X>,
       for (int m = 0; m < TheDrive::modes; ++m) add(k, In::offset + m, modes.at[m].offset);
     }
     if constexpr (!TheDrive::is_linear) {
-      const auto nonlinear =
-          drive.nonlinear_part(drive.with(start, resized<TheDrive::modes>(modes)), modes.active());
+      const auto nonlinear = drive.nonlinear_part(
+          drive.apply_modes(start, resize_modes<TheDrive::modes>(modes)), modes.active());
       for (int k = 0; k < TheDrive::states; ++k) {
         for (int r = 0; r < TheDrive::states; ++r) add(k, In::nonlinear + r, nonlinear.f[r]);
         add(k, In::nonlinear + K, nonlinear.g);

@@ -51,7 +51,7 @@ class EventLocation {
   }
 
   // The links' part at x.
-  const Dynamics& links_at(const State<S>& x) { return memo_.find_at(n_, x); }
+  const Dynamics& find_links_at(const State<S>& x) { return memo_.find_at(n_, x); }
 
   // Where the parts of steps are noted, or null.
   using StepSegments = arm::StepSegments<N, State<S>::K>;

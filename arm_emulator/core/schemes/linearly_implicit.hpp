@@ -241,11 +241,11 @@ class LinearlyImplicit {
     X change[row] = {};
     constexpr bool has_past = extrapolates && Tables::has_past;
     if constexpr (has_past) extrapolate_torque_change(links, change);
-    first_stage(x, links, in, k1, friction);
+    compute_first_stage(x, links, in, k1, friction);
     store_past(k1);
     if constexpr (stages == 2 && !has_past) evaluate_torque_change(x, k1, change);
     if constexpr (stages == 2 && !Tables::linear) evaluate_nonlinear_change(u, in, change);
-    if constexpr (stages == 2) second_stage(links, change, in);
+    if constexpr (stages == 2) compute_second_stage(links, change, in);
   }
 
   // x with the drives after the first stage, the links at rest: the torque of a command that has
@@ -262,8 +262,8 @@ class LinearlyImplicit {
     return pulled;
   }
 
-  ARM_INLINE void first_stage(const State<S, X>& x, Dynamics& links, Inputs& in, Accelerations& k1,
-                              const auto& friction) {
+  ARM_INLINE void compute_first_stage(const State<S, X>& x, Dynamics& links, Inputs& in,
+                                      Accelerations& k1, const auto& friction) {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       k1.a[j] = k1.torque[j] - links.nle[j];
       links.M.at[j][j] += tables_.diagonal[j];
@@ -286,7 +286,7 @@ class LinearlyImplicit {
       coulomb_.solve(links.M.at, x.v, k1.a);
   }
 
-  ARM_INLINE void second_stage(const Dynamics& links, const X (&change)[row], Inputs& in) {
+  ARM_INLINE void compute_second_stage(const Dynamics& links, const X (&change)[row], Inputs& in) {
     alignas(64) X k2[row];
     tables_.compute_second_rhs(in).store(k2);
     for_each<N>([&](auto j) __attribute__((always_inline)) {

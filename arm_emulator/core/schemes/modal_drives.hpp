@@ -41,7 +41,7 @@ class ModalDrives {
   auto modes() const {
     return [this]<class Drive>(const Drive&, int j, int) {
       if constexpr (modal && Drive::modes > 0)
-        return resized<Drive::modes>(now_[j]);
+        return resize_modes<Drive::modes>(now_[j]);
       else
         return typename Drive::Modes{};
     };
@@ -133,7 +133,7 @@ class ModalDrives {
     n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if constexpr (Drive::modes > 0) {
         auto at = input_of(drive, j, x, u[j]);
-        drive.enforce_modes(at, resized<Drive::modes>(now_[j]));
+        drive.enforce_modes(at, resize_modes<Drive::modes>(now_[j]));
         store_states(drive, j, 0, at, x);
       }
     });
@@ -218,7 +218,7 @@ class ModalDrives {
   void write_nonlinear_part(const Drive& drive, int j, int lane, const State<S, X>& x,
                             const X (&u)[row], NonlinearParts& nonlinear) const {
     const auto now = modes()(drive, j, lane);
-    const auto at = drive.with(input_in_lane(drive, j, x, u[j], lane), now);
+    const auto at = drive.apply_modes(input_in_lane(drive, j, x, u[j], lane), now);
     const auto put = [&](const auto& is) __attribute__((always_inline)) {
       for (int k = 0; k < drive.states; ++k) set_lane(nonlinear.at[k][j], lane, is.f[k]);
       set_lane(nonlinear.at[K][j], lane, is.g);

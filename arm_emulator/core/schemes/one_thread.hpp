@@ -38,8 +38,8 @@ class OneThread {
   void begin_burst(std::int64_t, const State<S, X>&) {}
   void end_burst() {}
   ARM_INLINE void step(State<S, X>& x, const X (&u)[Stepper::row]) {
-    if constexpr (requires { stepper_.links_at(x); }) {
-      stepper_.step(x, u, stepper_.links_at(x), *this);
+    if constexpr (requires { stepper_.find_links_at(x); }) {
+      stepper_.step(x, u, stepper_.find_links_at(x), *this);
       return;
     }
     Dynamics links;

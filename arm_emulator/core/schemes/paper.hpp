@@ -87,9 +87,9 @@ class PaperScheme {
         const auto start = input_of(drive, j, x, u[j]);
         auto modes = drive.modes_at(start);
         for (int round = 0; round <= 2 * drive.modes; ++round) {
-          tables_.set_modes(j, resized<Tables::M>(modes));
+          tables_.set_modes(j, resize_modes<Tables::M>(modes));
           const auto required =
-              drive.required(start, tables_.compute_end_state(drive, j, start), modes);
+              drive.required_mode(start, tables_.compute_end_state(drive, j, start), modes);
           if (required == modes) return;
           modes = required;
         }

@@ -111,7 +111,7 @@ def _write_bodies(scene: Scene, places: Mapping[str, str]) -> list[str]:
     bodies = [_write_link_body(geometry, places) for geometry in scene.chain.links]
     if (load := scene.load) is not None and "payload.mass" in places:
         bare, per_kg = _write_body(load.bare), _write_body(load.per_kg)
-        bodies[load.link] = f"arm::loaded({bare}, {places['payload.mass']}, {per_kg})"
+        bodies[load.link] = f"arm::add_load({bare}, {places['payload.mass']}, {per_kg})"
     return bodies
 
 
@@ -160,7 +160,7 @@ def _write_surroundings(scene: Scene, places: Mapping[str, str]) -> str:
         axis = format_vector(scene.chain.R_BW[:, 0])
         text += f"""\
   static constexpr arm::Vec3<arm::Real> field(const arm::Real* p) {{
-    return arm::turned(gravity, {axis}, {tilt});
+    return arm::rotate_field(gravity, {axis}, {tilt});
   }}
 """
     if share := places.get("supply.share"):

@@ -29,7 +29,7 @@ struct CurrentControl {
   Real feedforward = 1.0;  // share of the induced voltage
 
   // With the gains for this winding, which follow from a bandwidth once and not in every step.
-  constexpr CurrentControl tuned(Real R, Real L) const {
+  constexpr CurrentControl tune_gains(Real R, Real L) const {
     CurrentControl control = *this;
     if (!(bandwidth > 0.0)) return control;
     const Real rate = 1.0 / time_constant(bandwidth);
@@ -57,7 +57,7 @@ struct CurrentLoop : Motor {
   DataSheet nominal;
 
   constexpr CurrentLoop(const Motor& motor, const CurrentControl& stated, const DataSheet& sheet)
-      : Motor(motor), control(stated.tuned(sheet.R, sheet.L)), nominal(sheet) {}
+      : Motor(motor), control(stated.tune_gains(sheet.R, sheet.L)), nominal(sheet) {}
 
   static constexpr int states = 2;  // i [A], x [V]
   static constexpr int modes = 1;
@@ -74,7 +74,7 @@ struct CurrentLoop : Motor {
   constexpr bool obeys_circuit(bool) const { return true; }
   template <class X>
   ARM_INLINE constexpr void rates(const X* z, X u, X, X wm, X offset, bool active, X* f) const {
-    const X V = active ? offset : requested(z, u, wm);
+    const X V = active ? offset : request_voltage(z, u, wm);
     f[0] = V - this->R_circuit() * z[0] - this->Kb * wm;
     f[1] = active ? control.I / control.P * (V - z[1] - E() * wm) : control.I * (u - z[0]);
   }
@@ -87,27 +87,28 @@ struct CurrentLoop : Motor {
 
   template <class X>
   ARM_INLINE constexpr Mask<X> is_regular(const X* z, X u, X wm) const {
-    return magnitude(requested(z, u, wm)) < nominal.supply;
+    return magnitude(request_voltage(z, u, wm)) < nominal.supply;
   }
   constexpr Mode mode_at(const Real* z, Real u, Real wm) const {
-    const Real V = requested(z, u, wm);
+    const Real V = request_voltage(z, u, wm);
     if (magnitude(V) <= nominal.supply) return {};
     return {true, V < 0.0 ? -nominal.supply : nominal.supply};
   }
-  constexpr Mode required(const Real* z, Real u, Real wm, const Mode& mode) const {
+  constexpr Mode required_mode(const Real* z, Real u, Real wm, const Mode& mode) const {
     if (margin(z, u, wm, mode) >= 0.0) return mode;
     return mode.active ? Mode{} : mode_at(z, u, wm);
   }
   constexpr Real margin(const Real* z, Real u, Real wm, const Mode& mode) const {
-    const Real V = requested(z, u, wm), rounding = kRounding * nominal.supply;
+    const Real V = request_voltage(z, u, wm), rounding = kRounding * nominal.supply;
     if (!mode.active) return nominal.supply - magnitude(V) + rounding;
     return (mode.offset < 0.0 ? -V : V) - nominal.supply + rounding;
   }
   constexpr void enforce_modes(Real*, const Mode&) const {}
 
   template <class X>
-  ARM_INLINE constexpr X supplied(const X* z, X u, X, X wm, bool active) const {
-    const X V = active ? clamp(requested(z, u, wm), nominal.supply) : requested(z, u, wm);
+  ARM_INLINE constexpr X supplied_power(const X* z, X u, X, X wm, bool active) const {
+    const X V =
+        active ? clamp(request_voltage(z, u, wm), nominal.supply) : request_voltage(z, u, wm);
     return V * z[0] + (this->Kt - this->Kb) * wm * z[0];
   }
   template <class X>
@@ -118,7 +119,7 @@ struct CurrentLoop : Motor {
  private:
   constexpr Real E() const { return control.feedforward * nominal.Kb; }
   template <class X>
-  ARM_INLINE constexpr X requested(const X* z, X u, X wm) const {
+  ARM_INLINE constexpr X request_voltage(const X* z, X u, X wm) const {
     return control.P * (u - z[0]) + z[1] + E() * wm;
   }
 };

@@ -46,7 +46,7 @@ struct FieldOrientedLoop : Motor {
   constexpr FieldOrientedLoop(const Motor& motor, const CurrentControl& stated,
                               const SynchronousDataSheet& sheet)
       : Motor(motor),
-        control(stated.tuned(sheet.R, sheet.Lq)),
+        control(stated.tune_gains(sheet.R, sheet.Lq)),
         nominal(sheet),
         Pd(P(sheet.Ld)),
         Pq(P(sheet.Lq)) {}
@@ -68,7 +68,7 @@ struct FieldOrientedLoop : Motor {
   }
   template <class X>
   ARM_INLINE constexpr void rates(const X* z, X u, X tm, X wm, X offset, bool active, X* f) const {
-    const Voltages<X> requested = this->requested(z, u, wm), V = within(requested);
+    const Voltages<X> requested = this->request_voltage(z, u, wm), V = limit_voltages(requested);
     const X across[] = {z[0], z[1], V.d};
     Motor::rates(across, V.q, tm, wm, offset, active, f);
     f[3] = control.I * (z[2] - z[0]) + control.I / Pd * (V.d - requested.d);
@@ -92,8 +92,8 @@ struct FieldOrientedLoop : Motor {
   }
 
   template <class X>
-  ARM_INLINE constexpr X supplied(const X* z, X u, X, X wm, bool) const {
-    const Voltages<X> V = within(requested(z, u, wm));
+  ARM_INLINE constexpr X supplied_power(const X* z, X u, X, X wm, bool) const {
+    const Voltages<X> V = limit_voltages(request_voltage(z, u, wm));
     return 1.5 * (V.d * z[0] + V.q * z[1]);
   }
   template <class X>
@@ -108,10 +108,11 @@ struct FieldOrientedLoop : Motor {
     X d, q;
   };
   constexpr Real P(Real L) const {
-    return control.bandwidth > 0.0 ? control.tuned(nominal.R, L).P : control.P * L / nominal.Lq;
+    return control.bandwidth > 0.0 ? control.tune_gains(nominal.R, L).P
+                                   : control.P * L / nominal.Lq;
   }
   template <class X>
-  ARM_INLINE constexpr Voltages<X> requested(const X* z, X u, X wm) const {
+  ARM_INLINE constexpr Voltages<X> request_voltage(const X* z, X u, X wm) const {
     const X speed_voltage = control.feedforward * nominal.p * wm;
     Voltages<X> V = {Pd * (z[2] - z[0]) + z[3],
                      Pq * (u - z[1]) + z[4] + speed_voltage * nominal.psi};
@@ -120,7 +121,7 @@ struct FieldOrientedLoop : Motor {
     return V;
   }
   template <class X>
-  ARM_INLINE constexpr Voltages<X> within(const Voltages<X>& requested) const {
+  ARM_INLINE constexpr Voltages<X> limit_voltages(const Voltages<X>& requested) const {
     if constexpr (!whole) return requested;
     const Real U = nominal.amplitude;
     const X d = clamp(requested.d, kAlongFlux * U);

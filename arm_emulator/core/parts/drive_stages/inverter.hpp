@@ -44,26 +44,26 @@ struct InvertedMotor : Motor {
   }
 
   template <class X>
-  ARM_INLINE constexpr X dissipated(const X* z) const {
-    return Motor::dissipated(z) + lost(z);
+  ARM_INLINE constexpr X dissipated_power(const X* z) const {
+    return Motor::dissipated_power(z) + lost_voltage(z);
   }
   // A current that is held at its limit takes what is lost from the supply, too.
   template <class X>
-  ARM_INLINE constexpr X supplied(const X* z, X u, X tm, X wm, bool active) const {
-    X power = Motor::supplied(z, u, tm, wm, active);
+  ARM_INLINE constexpr X supplied_power(const X* z, X u, X tm, X wm, bool active) const {
+    X power = Motor::supplied_power(z, u, tm, wm, active);
     if constexpr (!of_vectors)
-      if (!this->obeys_circuit(active)) power += lost(z);
+      if (!this->obeys_circuit(active)) power += lost_voltage(z);
     return power;
   }
 
   constexpr auto mode_at(const Real* z, Real u, Real wm) const {
-    return Motor::mode_at(z, left(z, u), wm);
+    return Motor::mode_at(z, remaining_voltage(z, u), wm);
   }
-  constexpr auto required(const Real* z, Real u, Real wm, const auto& mode) const {
-    return Motor::required(z, left(z, u), wm, mode);
+  constexpr auto required_mode(const Real* z, Real u, Real wm, const auto& mode) const {
+    return Motor::required_mode(z, remaining_voltage(z, u), wm, mode);
   }
   constexpr Real margin(const Real* z, Real u, Real wm, const auto& mode) const {
-    return Motor::margin(z, left(z, u), wm, mode);
+    return Motor::margin(z, remaining_voltage(z, u), wm, mode);
   }
 
  private:
@@ -75,12 +75,12 @@ struct InvertedMotor : Motor {
     return inverter.U / square_root(square);
   }
   template <class X>
-  ARM_INLINE constexpr X lost(const X* z) const {
+  ARM_INLINE constexpr X lost_voltage(const X* z) const {
     if constexpr (of_vectors) return 1.5 * slope(z) * (z[0] * z[0] + z[1] * z[1]);
     return slope(z) * z[0] * z[0];
   }
   // The rest of a command that is a voltage.
-  constexpr Real left(const Real* z, Real u) const {
+  constexpr Real remaining_voltage(const Real* z, Real u) const {
     return Motor::takes == Command::voltage ? u - slope(z) * z[0] : u;
   }
 };

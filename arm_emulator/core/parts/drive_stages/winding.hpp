@@ -81,9 +81,9 @@ struct HeatedMotor : Motor {
     return T;
   }
   template <class X>
-  ARM_INLINE constexpr X dissipated(const X* z) const {
+  ARM_INLINE constexpr X dissipated_power(const X* z) const {
     const X copper = Motor::copper_loss(z);
-    return resistance(z) * copper + (Motor::dissipated(z) - copper);
+    return resistance(z) * copper + (Motor::dissipated_power(z) - copper);
   }
   template <class X>
   ARM_INLINE constexpr X supply_limit(const X* z, X u, X wm) const {
@@ -91,18 +91,20 @@ struct HeatedMotor : Motor {
   }
 
   // `motor` with its numbers at this temperature.
-  constexpr Real supplied(const Real* z, Real u, Real tm, Real wm, bool active) const {
-    return now(z).supplied(z, u, tm, wm, active);
+  constexpr Real supplied_power(const Real* z, Real u, Real tm, Real wm, bool active) const {
+    return motor_at_temperature(z).supplied_power(z, u, tm, wm, active);
   }
   constexpr void set_algebraic_state(Real* z, Real u, Real wm) const {
-    now(z).set_algebraic_state(z, u, wm);
+    motor_at_temperature(z).set_algebraic_state(z, u, wm);
   }
-  constexpr auto mode_at(const Real* z, Real u, Real wm) const { return now(z).mode_at(z, u, wm); }
-  constexpr auto required(const Real* z, Real u, Real wm, const auto& mode) const {
-    return now(z).required(z, u, wm, mode);
+  constexpr auto mode_at(const Real* z, Real u, Real wm) const {
+    return motor_at_temperature(z).mode_at(z, u, wm);
+  }
+  constexpr auto required_mode(const Real* z, Real u, Real wm, const auto& mode) const {
+    return motor_at_temperature(z).required_mode(z, u, wm, mode);
   }
   constexpr Real margin(const Real* z, Real u, Real wm, const auto& mode) const {
-    return now(z).margin(z, u, wm, mode);
+    return motor_at_temperature(z).margin(z, u, wm, mode);
   }
 
   constexpr Real temperature(const Real* z) const { return winding.ambient + z[rise]; }
@@ -119,7 +121,7 @@ struct HeatedMotor : Motor {
     const X left = 1.0 + winding.beta * (winding.ambient - winding.reference + z[rise]);
     return select(left > 0.0, left, X{});
   }
-  constexpr Motor now(const Real* z) const {
+  constexpr Motor motor_at_temperature(const Real* z) const {
     Motor motor = *this;
     motor.R *= resistance(z);
     if constexpr (requires { motor.psi; })

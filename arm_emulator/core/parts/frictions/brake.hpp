@@ -34,12 +34,12 @@ struct Braked : Law {
   }
   constexpr bool is_dry() const { return Law::is_dry() || closed != 0.0; }
   template <class X>
-  ARM_INLINE constexpr X sliding(X w, const ShaftTorques<X>& on) const {
-    return Law::sliding(w, on) + closed * brake.torque;
+  ARM_INLINE constexpr X sliding_torque(X w, const ShaftTorques<X>& on) const {
+    return Law::sliding_torque(w, on) + closed * brake.torque;
   }
   template <class X>
-  ARM_INLINE constexpr X holding(const ShaftTorques<X>& on) const {
-    return Law::holding(on) + closed * brake.torque;
+  ARM_INLINE constexpr X holding_torque(const ShaftTorques<X>& on) const {
+    return Law::holding_torque(on) + closed * brake.torque;
   }
 };
 

@@ -60,11 +60,11 @@ struct Friction {
   // Torques against sliding at the speed w, and that hold at rest, under these torques on the
   // shaft.
   template <class X>
-  ARM_INLINE constexpr X sliding(X, const ShaftTorques<X>&) const {
+  ARM_INLINE constexpr X sliding_torque(X, const ShaftTorques<X>&) const {
     return X{} + Dc;
   }
   template <class X>
-  ARM_INLINE constexpr X holding(const ShaftTorques<X>&) const {
+  ARM_INLINE constexpr X holding_torque(const ShaftTorques<X>&) const {
     return X{} + Ds;
   }
 };

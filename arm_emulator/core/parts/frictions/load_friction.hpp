@@ -29,12 +29,12 @@ struct LoadFriction {
 
   constexpr bool is_dry() const { return Ds > 0.0 || mu > 0.0; }
   template <class X>
-  ARM_INLINE constexpr X sliding(X w, const ShaftTorques<X>& on) const {
-    const X dry = vs > 0.0 ? Stribeck{Dv, Dc, Ds, vs}.sliding(w, on) : X{} + Dc;
+  ARM_INLINE constexpr X sliding_torque(X w, const ShaftTorques<X>& on) const {
+    const X dry = vs > 0.0 ? Stribeck{Dv, Dc, Ds, vs}.sliding_torque(w, on) : X{} + Dc;
     return dry + mu * magnitude(on.of_gear);
   }
   template <class X>
-  ARM_INLINE constexpr X holding(const ShaftTorques<X>& on) const {
+  ARM_INLINE constexpr X holding_torque(const ShaftTorques<X>& on) const {
     return Ds + mu * magnitude(on.of_gear);
   }
 };
@@ -61,11 +61,11 @@ struct DirectedLoadFriction {
   // Whether the torque jumps where those of motor and gear become equal.
   constexpr bool has_jump() const { return q > 0.0 || q_back > 0.0; }
   template <class X>
-  ARM_INLINE constexpr X sliding(X w, const ShaftTorques<X>& on) const {
+  ARM_INLINE constexpr X sliding_torque(X w, const ShaftTorques<X>& on) const {
     return Dc + load_torque(on, mu, mu_back, m) + fade_factor(w) * breakaway_terms(on);
   }
   template <class X>
-  ARM_INLINE constexpr X holding(const ShaftTorques<X>& on) const {
+  ARM_INLINE constexpr X holding_torque(const ShaftTorques<X>& on) const {
     return Dc + load_torque(on, mu, mu_back, m) + breakaway_terms(on);
   }
 

@@ -62,10 +62,10 @@ struct LuGre {
     return -s0 * bent - s1 * (w - slip(w, z[0]));
   }
   template <class X>
-  ARM_INLINE constexpr X stored(X, const X* z) const {
+  ARM_INLINE constexpr X stored_energy(X, const X* z) const {
     return 0.5 * s0 * z[0] * z[0];
   }
-  constexpr Real dissipated(Real, Real w, const Real* z, bool) const {
+  constexpr Real dissipated_power(Real, Real w, const Real* z, bool) const {
     const Real rate = w - slip(w, z[0]);
     return (s0 * z[0] + s1 * rate) * w - s0 * z[0] * rate;
   }
@@ -82,7 +82,8 @@ struct LuGre {
   ARM_INLINE constexpr X slip(X w, X z) const {
     X g{};
     for (int lane = 0; lane < kWidth<X>; ++lane)
-      set_lane(g, lane, Stribeck{0.0, Dc, Ds, vs}.sliding(lane_of(w, lane), ShaftTorques<Real>{}));
+      set_lane(g, lane,
+               Stribeck{0.0, Dc, Ds, vs}.sliding_torque(lane_of(w, lane), ShaftTorques<Real>{}));
     return s0 * magnitude(w) * z / g;
   }
 };

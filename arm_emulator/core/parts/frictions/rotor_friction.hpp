@@ -42,7 +42,7 @@ struct RotorFriction {
                                           [[maybe_unused]] X of_motor, X offset,
                                           const FrictionFactors<X>& factors = {}) const {
     if constexpr (varies) {
-      const X dry = law.sliding(wm, make_shaft_torques(of_gear, of_motor, offset, factors));
+      const X dry = law.sliding_torque(wm, make_shaft_torques(of_gear, of_motor, offset, factors));
       return viscous_torque(law, wm, factors) +
              select(offset < 0.0, -dry, select(offset > 0.0, dry, X{}));
     } else {
@@ -50,10 +50,11 @@ struct RotorFriction {
     }
   }
   template <class X>
-  ARM_INLINE constexpr X dissipated(X wm, X of_gear, X of_motor, X offset,
-                                    const FrictionFactors<X>& factors = {}) const {
+  ARM_INLINE constexpr X dissipated_power(X wm, X of_gear, X of_motor, X offset,
+                                          const FrictionFactors<X>& factors = {}) const {
     return viscous_torque(law, wm, factors) * wm +
-           law.sliding(wm, make_shaft_torques(of_gear, of_motor, offset, factors)) * magnitude(wm);
+           law.sliding_torque(wm, make_shaft_torques(of_gear, of_motor, offset, factors)) *
+               magnitude(wm);
   }
 
   constexpr bool is_regular() const { return is_free(); }
@@ -62,7 +63,8 @@ struct RotorFriction {
     if (wm == 0.0 && holding_margin(on) >= 0.0) return {true, 0.0};
     return sliding_mode(wm == 0.0 ? on.torque : wm, wm, on);
   }
-  constexpr Mode required(Real began, Real wm, const RotorTorques& on, const Mode& mode) const {
+  constexpr Mode required_mode(Real began, Real wm, const RotorTorques& on,
+                               const Mode& mode) const {
     if (mode.active) return holding_margin(on) >= 0.0 ? mode : sliding_mode(on.torque, 0.0, on);
     if (is_free()) return mode;
     // A rotor that reverses rests at the step's end, or in the whole step if it stopped in the
@@ -112,13 +114,13 @@ struct RotorFriction {
   }
   // Remaining holding torque, below 0 if it does not hold [N m].
   constexpr Real holding_margin(const RotorTorques& on) const {
-    return law.holding(torques_toward(on.torque, on)) * (1.0 + kRounding) + on.rounding -
+    return law.holding_torque(torques_toward(on.torque, on)) * (1.0 + kRounding) + on.rounding -
            magnitude(on.torque);
   }
   constexpr Mode sliding_mode(Real sign, Real wm, const RotorTorques& on) const {
     if constexpr (directed) return {false, make_offset(sign, on)};
     // The sign is the direction of motion, also for a torque of 0.
-    const Real dry = law.sliding(wm, torques_toward(sign, on));
+    const Real dry = law.sliding_torque(wm, torques_toward(sign, on));
     const Real some = dry > 0.0 ? dry : 1e-300;
     return {false, sign < 0.0 ? -some : some};
   }

@@ -20,11 +20,11 @@ struct Stribeck {
 
   constexpr bool is_dry() const { return Ds > 0.0; }
   template <class X>
-  ARM_INLINE constexpr X sliding(X w, const ShaftTorques<X>&) const {
+  ARM_INLINE constexpr X sliding_torque(X w, const ShaftTorques<X>&) const {
     return Dc + (Ds - Dc) * exponential(-(w / vs) * (w / vs));
   }
   template <class X>
-  ARM_INLINE constexpr X holding(const ShaftTorques<X>&) const {
+  ARM_INLINE constexpr X holding_torque(const ShaftTorques<X>&) const {
     return X{} + Ds;
   }
 };

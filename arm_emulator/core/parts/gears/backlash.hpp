@@ -32,13 +32,13 @@ struct BacklashGear {
     return active ? tooth().push_torque(Ng * tm - q - offset, Ng * wm - v) : X{};
   }
   template <class X>
-  ARM_INLINE constexpr X stored(X tm, X q) const {
-    return tooth().stored(magnitude(Ng * tm - q) - gap());
+  ARM_INLINE constexpr X stored_energy(X tm, X q) const {
+    return tooth().stored_energy(magnitude(Ng * tm - q) - gap());
   }
-  constexpr Real dissipated(Real tm, Real wm, Real q, Real v, bool active) const {
+  constexpr Real dissipated_power(Real tm, Real wm, Real q, Real v, bool active) const {
     const Real w = Ng * tm - q, rate = Ng * wm - v;
     if (is_tight()) return Dg * rate * rate;
-    return tooth().dissipated(magnitude(w) - gap(), w < 0.0 ? -rate : rate, active);
+    return tooth().dissipated_power(magnitude(w) - gap(), w < 0.0 ? -rate : rate, active);
   }
 
   constexpr Mode mode_at(Real tm, Real wm, Real q, Real v) const {

@@ -27,12 +27,12 @@ struct ElasticGear {
     return Kg * (Ng * tm - q) + Dg * (Ng * wm - v);
   }
   template <class X>
-  ARM_INLINE constexpr X stored(X tm, X q) const {
+  ARM_INLINE constexpr X stored_energy(X tm, X q) const {
     const X twist = Ng * tm - q;
     return 0.5 * Kg * twist * twist;
   }
   template <class X>
-  ARM_INLINE constexpr X dissipated(X, X wm, X, X v, bool) const {
+  ARM_INLINE constexpr X dissipated_power(X, X wm, X, X v, bool) const {
     const X rate = Ng * wm - v;
     return Dg * rate * rate;
   }

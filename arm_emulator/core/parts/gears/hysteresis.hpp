@@ -43,7 +43,7 @@ struct Hysteresis {
     return element_stiffness() * sum;
   }
   template <class X>
-  ARM_INLINE constexpr X stored(X w, const X* anchors) const {
+  ARM_INLINE constexpr X stored_energy(X w, const X* anchors) const {
     X sum{};
     for (int i = 0; i < n; ++i) {
       const X bent = deflection(i, w, anchors);
@@ -51,7 +51,7 @@ struct Hysteresis {
     }
     return 0.5 * element_stiffness() * sum;
   }
-  constexpr Real dissipated(Real w, Real rate, const Real* anchors) const {
+  constexpr Real dissipated_power(Real w, Real rate, const Real* anchors) const {
     Real sum = 0.0;
     for (int i = 0; i < n; ++i) {
       const Real bent = w - anchors[i];
@@ -96,13 +96,13 @@ struct HystereticGear : Gear {
       return T + hysteresis.stiffness() * w;
   }
   template <class X>
-  ARM_INLINE constexpr X stored(X tm, X q, const X* anchors) const {
-    return Gear::stored(tm, q) + hysteresis.stored(twist(tm, q), anchors);
+  ARM_INLINE constexpr X stored_energy(X tm, X q, const X* anchors) const {
+    return Gear::stored_energy(tm, q) + hysteresis.stored_energy(twist(tm, q), anchors);
   }
-  constexpr Real dissipated(Real tm, Real wm, Real q, Real v, bool active,
-                            const Real* anchors) const {
-    return Gear::dissipated(tm, wm, q, v, active) +
-           hysteresis.dissipated(twist(tm, q), twist_rate(tm, wm, q, v), anchors);
+  constexpr Real dissipated_power(Real tm, Real wm, Real q, Real v, bool active,
+                                  const Real* anchors) const {
+    return Gear::dissipated_power(tm, wm, q, v, active) +
+           hysteresis.dissipated_power(twist(tm, q), twist_rate(tm, wm, q, v), anchors);
   }
   constexpr void update_memory(Real tm, Real q, Real* anchors) const {
     hysteresis.update_anchors(twist(tm, q), anchors);

@@ -58,18 +58,18 @@ struct KinematicErrorGear {
     return T * (Ng + error(motor, tm).slope) / (1.0 - error(link, q).slope);
   }
   template <class X>
-  ARM_INLINE constexpr X stored(X tm, X q) const {
+  ARM_INLINE constexpr X stored_energy(X tm, X q) const {
     const X w = twist(tm, q);
     return 0.5 * Kg * w * w;
   }
   template <class X>
-  ARM_INLINE constexpr X dissipated(X tm, X wm, X q, X v, bool) const {
+  ARM_INLINE constexpr X dissipated_power(X tm, X wm, X q, X v, bool) const {
     const X rate = twist_rate(tm, wm, q, v);
     return Dg * rate * rate;
   }
 
   // Rotor state for a link at (q, v) without wind-up.
-  constexpr void unload(Real q, Real v, Real& tm, Real& wm) const {
+  constexpr void set_unloaded(Real q, Real v, Real& tm, Real& wm) const {
     const Turn<Real> by_link = error(link, q);
     for (int round = 0; round < 20; ++round) {
       const Turn<Real> by_motor = error(motor, tm);

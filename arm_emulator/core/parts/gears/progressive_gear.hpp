@@ -33,13 +33,13 @@ struct ProgressiveGear {
     return Kg3 * w * w * w;
   }
   template <class X>
-  ARM_INLINE constexpr X stored(X tm, X q) const {
+  ARM_INLINE constexpr X stored_energy(X tm, X q) const {
     const X w = Ng * tm - q;
-    return linear().stored(tm, q) + 0.25 * Kg3 * (w * w) * (w * w);
+    return linear().stored_energy(tm, q) + 0.25 * Kg3 * (w * w) * (w * w);
   }
   template <class X>
-  ARM_INLINE constexpr X dissipated(X tm, X wm, X q, X v, bool active) const {
-    return linear().dissipated(tm, wm, q, v, active);
+  ARM_INLINE constexpr X dissipated_power(X tm, X wm, X q, X v, bool active) const {
+    return linear().dissipated_power(tm, wm, q, v, active);
   }
 };
 

@@ -23,7 +23,7 @@ struct Cogging : NoTorque<Place::rotor> {
     return sum;
   }
   template <class X>
-  ARM_INLINE constexpr X stored(X tm, const X*) const {
+  ARM_INLINE constexpr X stored_energy(X tm, const X*) const {
     X sum{};
     for (const Harmonic& one : waves) {
       const Real size = one.amplitude < 0.0 ? -one.amplitude : one.amplitude;

@@ -38,7 +38,7 @@ struct Counterbalance : NoTorque<Place::link> {
     return force(l) * (a * b) * sin / l;
   }
   template <class X>
-  ARM_INLINE constexpr X stored(X q, const X*) const {
+  ARM_INLINE constexpr X stored_energy(X q, const X*) const {
     return work(length(sincos(q - phi).cos)) - work(relaxed());
   }
 

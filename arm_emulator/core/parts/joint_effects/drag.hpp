@@ -16,7 +16,7 @@ struct Drag : NoTorque<Place::link> {
   ARM_INLINE constexpr X torque(X, X v, const X*, X, bool) const {
     return -c * magnitude(v) * v;
   }
-  constexpr Real dissipated(Real, Real v, const Real*, bool) const {
+  constexpr Real dissipated_power(Real, Real v, const Real*, bool) const {
     return c * magnitude(v) * v * v;
   }
 };

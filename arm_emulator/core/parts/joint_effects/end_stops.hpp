@@ -26,13 +26,13 @@ struct EndStops {
     return active ? -stop().push_torque(q - offset, v) : X{};
   }
   template <class X>
-  ARM_INLINE constexpr X stored(X q, const X*) const {
-    return stop().stored(q - upper) + stop().stored(lower - q);
+  ARM_INLINE constexpr X stored_energy(X q, const X*) const {
+    return stop().stored_energy(q - upper) + stop().stored_energy(lower - q);
   }
-  constexpr Real dissipated(Real q, Real v, const Real*, bool active) const {
+  constexpr Real dissipated_power(Real q, Real v, const Real*, bool active) const {
     const bool above = q - upper > lower - q;
-    return above ? stop().dissipated(q - upper, v, active)
-                 : stop().dissipated(lower - q, -v, active);
+    return above ? stop().dissipated_power(q - upper, v, active)
+                 : stop().dissipated_power(lower - q, -v, active);
   }
 
   template <class X>

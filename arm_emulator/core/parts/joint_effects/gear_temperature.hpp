@@ -75,12 +75,12 @@ struct Warm : Law {
 
   static constexpr bool varies = true, depends_on_temperature = true;
   template <class X>
-  ARM_INLINE constexpr X sliding(X w, const ShaftTorques<X>& on) const {
-    return Law::sliding(w, on) * on.factors.dry;
+  ARM_INLINE constexpr X sliding_torque(X w, const ShaftTorques<X>& on) const {
+    return Law::sliding_torque(w, on) * on.factors.dry;
   }
   template <class X>
-  ARM_INLINE constexpr X holding(const ShaftTorques<X>& on) const {
-    return Law::holding(on) * on.factors.dry;
+  ARM_INLINE constexpr X holding_torque(const ShaftTorques<X>& on) const {
+    return Law::holding_torque(on) * on.factors.dry;
   }
 };
 

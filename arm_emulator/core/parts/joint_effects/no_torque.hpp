@@ -22,10 +22,10 @@ struct NoTorque {
     return X{};
   }
   template <class X>
-  ARM_INLINE constexpr X stored(X, const X*) const {
+  ARM_INLINE constexpr X stored_energy(X, const X*) const {
     return X{};
   }
-  constexpr Real dissipated(Real, Real, const Real*, bool) const { return 0.0; }
+  constexpr Real dissipated_power(Real, Real, const Real*, bool) const { return 0.0; }
 };
 
 }  // namespace arm

@@ -35,7 +35,7 @@ struct TorqueTable : NoTorque<Place::link> {
     return evaluate(q).torque;
   }
   template <class X>
-  ARM_INLINE constexpr X potential(X q) const {
+  ARM_INLINE constexpr X potential_energy_at(X q) const {
     return evaluate(q).potential;
   }
 

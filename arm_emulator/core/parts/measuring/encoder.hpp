@@ -104,7 +104,7 @@ struct EncoderMemory {
     }
     if (repeats_reading(e.held, noises, number)) return;
     update_reading(e);
-    const Noise flips = {mixed(noises.key + 2)};
+    const Noise flips = {mix_bits(noises.key + 2)};
     if (e.flips > 0.0 && flips.uniform(2 * number) <= e.flips)
       flip_bit(e, flips.uniform(2 * number + 1));
   }
@@ -112,7 +112,9 @@ struct EncoderMemory {
  private:
   static constexpr int kMaxMisses = 1000;  // that are drawn one by one between two samples
 
-  static constexpr Noise miss_stream(const Noise& noises) { return {mixed(noises.key ^ kGolden)}; }
+  static constexpr Noise miss_stream(const Noise& noises) {
+    return {mix_bits(noises.key ^ kGolden)};
+  }
 
   void update_reading(const Encoder& e) {
     const std::uint64_t word = (std::uint64_t{1} << e.bits) - 1;

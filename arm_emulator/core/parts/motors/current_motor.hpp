@@ -53,15 +53,15 @@ struct CurrentMotor {
   }
 
   template <class X>
-  ARM_INLINE constexpr X stored(const X*) const {
+  ARM_INLINE constexpr X stored_energy(const X*) const {
     return X{};
   }
   template <class X>
-  ARM_INLINE constexpr X dissipated(const X* i) const {
+  ARM_INLINE constexpr X dissipated_power(const X* i) const {
     return R * i[0] * i[0];
   }
   template <class X>
-  ARM_INLINE constexpr X supplied(const X* i, X, X, X wm, bool) const {
+  ARM_INLINE constexpr X supplied_power(const X* i, X, X, X wm, bool) const {
     return (R * i[0] + Kt * wm) * i[0];
   }
   static constexpr bool supply_grows_with_speed = true;  // so that it may grow from nothing at rest

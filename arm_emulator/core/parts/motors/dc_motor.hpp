@@ -69,7 +69,7 @@ struct DcMotorOf {
     const Mode mode = beyond(i[0]);
     return mode.active && surplus(mode.offset, V, wm) * mode.offset < 0.0 ? Mode{} : mode;
   }
-  constexpr Mode required(const Real* i, Real V, Real wm, const Mode& mode) const {
+  constexpr Mode required_mode(const Real* i, Real V, Real wm, const Mode& mode) const {
     if (!mode.active) return beyond(i[0] * (1.0 - kRounding));
     return surplus(i[0], V, wm) * mode.offset < 0.0 ? Mode{} : mode;
   }
@@ -87,11 +87,11 @@ struct DcMotorOf {
   }
 
   template <class X>
-  ARM_INLINE constexpr X stored(const X* i) const {
+  ARM_INLINE constexpr X stored_energy(const X* i) const {
     return 0.5 * L * i[0] * i[0];
   }
   template <class X>
-  ARM_INLINE constexpr X dissipated(const X* i) const {
+  ARM_INLINE constexpr X dissipated_power(const X* i) const {
     return R_circuit() * i[0] * i[0];
   }
   template <class X>
@@ -100,7 +100,7 @@ struct DcMotorOf {
   }
   // Power from the supply, and the surplus from unequal constants [W].
   template <class X>
-  ARM_INLINE constexpr X supplied(const X* i, X V, X, X wm, bool active) const {
+  ARM_INLINE constexpr X supplied_power(const X* i, X V, X, X wm, bool active) const {
     const X applied = active ? R_circuit() * i[0] + Kb * wm : V;
     return applied * i[0] + (Kt - Kb) * wm * i[0];
   }

@@ -80,11 +80,11 @@ struct PmsmOf {
   }
 
   template <class X>
-  ARM_INLINE constexpr X stored(const X* z) const {
+  ARM_INLINE constexpr X stored_energy(const X* z) const {
     return 0.75 * (Ld * z[0] * z[0] + Lq * z[1] * z[1]);
   }
   template <class X>
-  ARM_INLINE constexpr X dissipated(const X* z) const {
+  ARM_INLINE constexpr X dissipated_power(const X* z) const {
     return 1.5 * R_circuit() * (z[0] * z[0] + z[1] * z[1]);
   }
   template <class X>
@@ -92,7 +92,7 @@ struct PmsmOf {
     return 1.5 * R * (z[0] * z[0] + z[1] * z[1]);
   }
   template <class X>
-  ARM_INLINE constexpr X supplied(const X* z, X uq, X, X, bool) const {
+  ARM_INLINE constexpr X supplied_power(const X* z, X uq, X, X, bool) const {
     return 1.5 * (z[2] * z[0] + uq * z[1]);
   }
   // Upper bound, at the best currents.

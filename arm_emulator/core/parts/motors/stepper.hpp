@@ -67,16 +67,16 @@ struct StepperMotorOf {
   constexpr void set_algebraic_state(Real*, Real, Real) const {}
 
   template <class X>
-  ARM_INLINE constexpr X stored(const X*) const {
+  ARM_INLINE constexpr X stored_energy(const X*) const {
     return X{};
   }
   template <class X>
-  ARM_INLINE constexpr X dissipated(const X* z) const {
+  ARM_INLINE constexpr X dissipated_power(const X* z) const {
     return R * (z[0] * z[0] + z[1] * z[1]);
   }
   template <class X>
-  ARM_INLINE constexpr X supplied(const X* z, X, X tm, X wm, bool) const {
-    return dissipated(z) + torque(z, tm) * wm;
+  ARM_INLINE constexpr X supplied_power(const X* z, X, X tm, X wm, bool) const {
+    return dissipated_power(z) + torque(z, tm) * wm;
   }
   static constexpr bool supply_grows_with_speed = true;  // so that it may grow from nothing at rest
   template <class X>

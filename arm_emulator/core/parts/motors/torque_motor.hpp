@@ -52,15 +52,15 @@ struct TorqueMotor {
   }
 
   template <class X>
-  ARM_INLINE constexpr X stored(const X*) const {
+  ARM_INLINE constexpr X stored_energy(const X*) const {
     return X{};
   }
   template <class X>
-  ARM_INLINE constexpr X dissipated(const X*) const {
+  ARM_INLINE constexpr X dissipated_power(const X*) const {
     return X{};
   }
   template <class X>
-  ARM_INLINE constexpr X supplied(const X* tau, X, X, X wm, bool) const {
+  ARM_INLINE constexpr X supplied_power(const X* tau, X, X, X wm, bool) const {
     return tau[0] * wm;
   }
   static constexpr bool supply_grows_with_speed = true;  // so that it may grow from nothing at rest

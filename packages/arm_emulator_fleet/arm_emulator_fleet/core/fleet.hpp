@@ -109,7 +109,8 @@ struct arm_fleet {
   }
   // Positions of the drives of a group, one arm after the other, to a row of joints.
   void write_joints(int g, const double* at, double* q) const {
-    for (int k = 0; k < end_of(g) - g * lanes; ++k) arm_machine::to_joints(at + k * N, q + k * J);
+    for (int k = 0; k < end_of(g) - g * lanes; ++k)
+      arm_machine::copy_to_joints(at + k * N, q + k * J);
   }
   void follow_rows_with_sensors(int g, const double* command, std::int64_t stride,
                                 std::int64_t rows, std::int64_t steps, double* q,
@@ -464,7 +465,7 @@ struct arm_fleet {
       lanes.get_link_motion(l, row[3], row[4]);
       double* const to[] = {out.current, out.motor_angle, out.motor_speed, out.q, out.v};
       for (int r = 0; r < 5; ++r)
-        if (to[r]) arm_machine::to_joints(row[r], to[r]);
+        if (to[r]) arm_machine::copy_to_joints(row[r], to[r]);
       out.time = static_cast<double>(lanes.steps_taken(l)) * step;
     });
   }

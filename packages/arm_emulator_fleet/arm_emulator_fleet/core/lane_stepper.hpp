@@ -54,7 +54,7 @@ class LaneStepper {
     confirmed_ = false;
     method_.restore(memory);
   }
-  const Dynamics& links_at(const State<S, X>& x) { return memo_.find_at(n_, x); }
+  const Dynamics& find_links_at(const State<S, X>& x) { return memo_.find_at(n_, x); }
 
   template <class Exchange>
   ARM_INLINE void step(State<S, X>& x, const X (&u)[row], const Dynamics& links,
@@ -81,7 +81,7 @@ class LaneStepper {
   template <class Exchange>
   ARM_INLINE bool try_smooth_step(State<S, X>& x, const X (&u)[row], Exchange& exchange) {
     const State<S, X> start = x;
-    const Attempt attempt = attempt_step(x, u, links_at(x), exchange);
+    const Attempt attempt = attempt_step(x, u, find_links_at(x), exchange);
     if (!any(attempt.is_separate)) return true;
     x = start;
     restore(memory_before(attempt));
