@@ -22,6 +22,8 @@ NO_VERB = (2.5, 30.0)  # percent of functions whose name does not begin with a v
 NO_PREFIX = (1, 0)  # functions and properties of bool without is_, has_, can_
 TWICE = (1, 20)  # class names that several modules define
 WORDS = (2.1, 1.9)  # at least: mean number of words in the name of a function
+C_NO_VERB = (34.0, 20.0)  # as above, of functions in C and C++
+C_WORDS = (1.88, 1.9)
 # A word that is no term of the field, and what to write instead.
 INSTEAD = {
     "one": "joint, part, number, file", "other": "second, neighbour", "given": "argument, input",
@@ -71,6 +73,12 @@ VERBS = set(
     update upload use validate vary verify visit wait wake warm warn watch weigh withhold wrap write
     yield zero""".split()
 )
+# Further ones of functions in C and C++: of loops, conversions and physics.
+C_VERBS = VERBS | set(
+    """accumulate acknowledge adjust are attempt classify control enforce feed flip floor for halve
+    interrupt invalidate latch meter negate pin prefetch pull resize rotate supply to transmit
+    unwrap""".split()
+)
 OF_LIBRARIES = {"closed", "destroy_subscription", "beginning_execution"}  # which call these names
 TYPE_LINE = re.compile(
     r"^[ \t]*(?:(?:static|inline|constexpr|extern|virtual|const|explicit|struct|class)\s+)*"
@@ -78,6 +86,16 @@ TYPE_LINE = re.compile(
     re.M,
 )
 COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/|\"(?:\\.|[^\"\\\n])*\"", re.S)
+# A definition of a function: its type, name, parameters, and what stands before its body.
+DEFINITION = re.compile(
+    r"^[ \t]*(?:[\w:]+(?:<[^;{}()]*>)?(?:\([^()]*\))?[\s*&]+)+(?:\w+::)*([a-z]\w*)\s*"
+    r"\(((?:[^;{}()]|\([^;{}()]*\)|\{\})*)\)([\s\w]*)(?:requires[^;{]*)?\{",
+    re.M,
+)
+NO_CODE = re.compile(
+    r"^[ \t]*#(?:[^\n]*\\\n)*[^\n]*|__attribute__\(\([^;{}]*?\)\)|\[\[\w+\]\]|extern\s*\{", re.M
+)
+NO_FUNCTIONS = {"alignas", "catch", "constexpr", "for", "if", "new", "requires", "switch", "while"}
 STATEMENTS = {"return", "else", "delete", "throw", "using", "goto", "case", "new", "typedef"}
 
 
@@ -95,6 +113,8 @@ class Figures:
         self.functions: list[str] = []
         self.no_verb: list[str] = []
         self.no_prefix: list[str] = []
+        self.c_functions: list[str] = []
+        self.c_no_verb: list[str] = []
 
     def add(self, file: str, name: str) -> None:
         """Count a name once per file."""
@@ -124,6 +144,21 @@ class Figures:
         if words[0] not in VERBS:
             self.no_verb.append(f"{file}:{node.lineno} {node.name}")
 
+    def add_c_functions(self, file: str, text: str) -> None:
+        """Count the functions that a file in C or C++ defines; constant accessors need no verb."""
+        for definition in DEFINITION.finditer(NO_CODE.sub(" ", text)):
+            name, parameters, after = definition.groups()
+            words = words_of(name)
+            is_accessor = parameters.strip() in ("", "void") and after.split()[:1] == ["const"]
+            first = definition.group(0).split()[0]
+            if is_accessor or first in STATEMENTS or name in NO_FUNCTIONS or name.endswith("_"):
+                continue
+            self.c_functions.append(name)
+            # Functions with C linkage begin with their module, such as servo_ or drives_.
+            has_prefix = not file.endswith(".hpp") or words[0] == "drives"
+            if not C_VERBS & set(words if has_prefix else words[:1]):
+                self.c_no_verb.append(f"{file} {name}")
+
 
 def files() -> Iterator[tuple[str, Path]]:
     """Yield each tracked file that is checked, with its package."""
@@ -145,7 +180,10 @@ def check() -> tuple[dict[str, Figures], dict[str, set[str]]]:
             figures[package],
         )
         if path.suffix != ".py":
-            for kind in TYPE_LINE.finditer(COMMENT.sub(" ", text)):
+            text = COMMENT.sub(" ", text)
+            if not CLAIMS & set(file.split("/")):
+                counted.add_c_functions(file, text)
+            for kind in TYPE_LINE.finditer(text):
                 if kind.group(0).split()[0] not in STATEMENTS:
                     counted.add(file, kind.group(1))
             continue
@@ -179,11 +217,12 @@ def main() -> int:
         )
         everything.names |= counted.names
         everything.foreign |= counted.foreign
-        for part in ("functions", "no_verb", "no_prefix"):
+        for part in ("functions", "no_verb", "no_prefix", "c_functions", "c_no_verb"):
             if counted is not everything:
                 getattr(everything, part).extend(getattr(counted, part))
     twice = {name for name, modules in classes.items() if len(modules) > 1}
     lengths = [len(words_of(name)) for name in everything.functions]
+    c_lengths = [len(words_of(name)) for name in everything.c_functions]
     results = {
         "percent of names that are no terms of the field": (
             100 * len(everything.foreign) / len(everything.names), FOREIGN),
@@ -192,6 +231,10 @@ def main() -> int:
         "functions of bool without is_, has_, can_": (len(everything.no_prefix), NO_PREFIX),
         "class names that several modules define": (len(twice), TWICE),
         "words in the name of a function": (sum(lengths) / len(lengths), WORDS),
+        "percent of functions in C and C++ without a verb": (
+            100 * len(everything.c_no_verb) / len(everything.c_functions), C_NO_VERB),
+        "words in the name of a function in C or C++": (
+            sum(c_lengths) / len(c_lengths), C_WORDS),
     }  # fmt: skip
     failed = False
     for quantity, (figure, (limit, aim)) in results.items():
@@ -202,7 +245,11 @@ def main() -> int:
         for word, count in counts.most_common():
             if word in INSTEAD:
                 print(f"{word}: {count} names; write {INSTEAD[word]}")
-        print("\n".join([*everything.no_prefix, *everything.no_verb, *sorted(twice)]))
+        print(
+            "\n".join(
+                [*everything.no_prefix, *everything.no_verb, *everything.c_no_verb, *sorted(twice)]
+            )
+        )
     return failed
 
 
