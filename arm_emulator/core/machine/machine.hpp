@@ -327,7 +327,7 @@ class Machine {
   }
 
   // Kinetic, potential, elastic and magnetic energy of links, gears and motors [J].
-  Real energy() const { return energy_of<S>(numbers_, x_).total(); }
+  Real energy() const { return compute_energy<S>(numbers_, x_).total(); }
 
  private:
   // Update the scheme's tables. A machine in a lane needs none.

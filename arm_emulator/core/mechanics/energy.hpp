@@ -20,8 +20,8 @@ struct Energy {
 // `largest_joint`: set to the joint with the most energy, that of its drive and, with M_jj, its
 // link.
 template <class S>
-__attribute__((noinline)) Energy energy_of(const Numbers<S>& n, const State<S>& x,
-                                           int* largest_joint = nullptr) {
+__attribute__((noinline)) Energy compute_energy(const Numbers<S>& n, const State<S>& x,
+                                                int* largest_joint = nullptr) {
   typename Links<S>::Kinematics k;
   typename Links<S>::MassMatrix M;
   Links<S>::compute_kinematics(n, x.q, k);
@@ -60,7 +60,7 @@ class EnergyBalance {
   static constexpr int N = S::N;
 
   void reset(const Numbers<S>& n, const State<S>& x) {
-    const Energy E = energy_of<S>(n, x);
+    const Energy E = compute_energy<S>(n, x);
     energy_limit_ = E.total();
     largest_stored_ = E.stored;
     steps_ = 0;
@@ -100,7 +100,7 @@ class EnergyBalance {
   // Check the state x. Returns -1, or the joint with most of the energy that the scheme created.
   int find_violation(const Numbers<S>& n, const State<S>& x, Real h) {
     int largest_joint = 0;
-    const Energy E = energy_of<S>(n, x, &largest_joint);
+    const Energy E = compute_energy<S>(n, x, &largest_joint);
     if (E.stored > largest_stored_) largest_stored_ = E.stored;
     const Real gained = E.total() - energy_limit_;
     const Real rounding = kRounding * (1.0 + (E.potential < 0.0 ? -E.potential : E.potential));

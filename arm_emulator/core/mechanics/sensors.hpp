@@ -217,7 +217,7 @@ class Sensors<S> {
       for (int j = 0; j < N; ++j)
         if (row.has_reading(j)) {
           AnalogSensor& sensor = std::get<k>(suite.analog).at[j];
-          drift(sensor, drifted_.analog[k][j], period);
+          add_drift(sensor, drifted_.analog[k][j], period);
           const Noise draws = noises(row.first + row.stride * j);
           now.analog[k][j] = has_past && repeats_reading(sensor.held, draws, tick)
                                  ? before.analog[k][j]
@@ -232,8 +232,8 @@ class Sensors<S> {
       for (int m = 0; m < M; ++m) {
         Imu& imu = suite.imu[m];
         for (int k = 0; k < 6; ++k)
-          drift(k < 3 ? imu.accelerometer[k] : imu.gyroscope[k - 3], drifted_.imu[6 * m + k],
-                period);
+          add_drift(k < 3 ? imu.accelerometer[k] : imu.gyroscope[k - 3], drifted_.imu[6 * m + k],
+                    period);
         const LinkMotion& motion = motions[imu.link];
         const auto of_channel = [&](int k) { return noises(-2 - 6 * m - k); };
         const ImuReading previous = before.imu[m];
@@ -248,7 +248,7 @@ class Sensors<S> {
     }
   }
 
-  static void drift(AnalogSensor& sensor, double& drifted, double period) {
+  static void add_drift(AnalogSensor& sensor, double& drifted, double period) {
     drifted += sensor.drift * period;
     sensor.offset += drifted;
   }

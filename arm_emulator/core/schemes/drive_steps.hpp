@@ -54,7 +54,7 @@ class DriveSteps {
       One y[K + 2];
       for (int k = 0; k < K; ++k) y[k].at[0] = in[k].at[0] + h * tables_.compute_rate_of(k, j, in);
       const Real& v = in[In::v].at[0];
-      y[In::q].at[0] = in[In::q].at[0] + h * (v + gamma_of(2) * h * k1);
+      y[In::q].at[0] = in[In::q].at[0] + h * (v + find_gamma(2) * h * k1);
       y[In::v].at[0] = v + h * k1;
       Real there[Tables::R] = {};
       tables_.compute_nonlinear_part(drive, linear, make_input(drive, y, in),

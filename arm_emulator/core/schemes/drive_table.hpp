@@ -47,7 +47,7 @@ struct DriveTable {
 inline constexpr double kSqrt2 = 1.4142135623730951;
 
 // gamma of the scheme with so many stages: implicit Euler's, and ROS2's.
-constexpr double gamma_of(int stages) { return stages == 2 ? 1.0 - 0.5 * kSqrt2 : 1.0; }
+constexpr double find_gamma(int stages) { return stages == 2 ? 1.0 - 0.5 * kSqrt2 : 1.0; }
 
 // A stage of a linearly implicit scheme for one joint, or several side by side: the rates of z go
 // into the link's row.
@@ -92,7 +92,7 @@ ARM_APART DriveTable<K, M, R> make_implicit_table(const LinearDrive<K, M>& drive
   using X = Real;
   constexpr int n = LinearDrive<K, M>::kRows;
   Elimination<K, M> elimination = {};
-  elimination.prepare(drive, gamma_of(stages) * h);
+  elimination.prepare(drive, find_gamma(stages) * h);
   const auto& [s, E, e, b] = elimination;
   DriveTable<K, M, R> table = {};
   table.diagonal = s * b;
@@ -129,7 +129,7 @@ ARM_APART DriveTable<K, M, R> make_implicit_table(const LinearDrive<K, M>& drive
         elimination.solve_stage(drive, r_z, kSqrt2 * (x[In::v] + s * x[In::k1]), r_v);
     table.rhs_2[input] = second.rhs;
     for (int k = 0; k < K; ++k)
-      table.dz[k][input] = h * (gamma_of(2) * k_z[k] + 0.5 * (second.z[k] + e[k] * x[In::k2]));
+      table.dz[k][input] = h * (find_gamma(2) * k_z[k] + 0.5 * (second.z[k] + e[k] * x[In::k2]));
   }
   return table;
 }

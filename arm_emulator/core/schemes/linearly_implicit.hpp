@@ -101,7 +101,7 @@ class LinearlyImplicit {
   Memory& past() { return past_[newest_]; }
   Tables& tables() { return tables_; }
   // The memory before the newest step, of lanes.
-  const Memory& memory_before() const { return past_[memories - 1 - newest_]; }
+  const Memory& find_memory_before() const { return past_[memories - 1 - newest_]; }
   void restore(const Memory& memory) { past() = memory; }
 
   // Serve the drives in these modes.
@@ -193,7 +193,7 @@ class LinearlyImplicit {
   static constexpr bool extrapolates = S::Scheme::extrapolates;
   static constexpr bool locates = kLocatesEvents<S>;
   static constexpr int stages = S::Scheme::stages;
-  static constexpr double gamma = gamma_of(stages);
+  static constexpr double gamma = find_gamma(stages);
   using Numbers = Row<N, X>;
   // In the place of the modes of the links, which the step then decides.
   struct Undecided {};

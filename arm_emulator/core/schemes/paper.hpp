@@ -44,7 +44,7 @@ class PaperScheme {
   };
   void reset(const State<S, X>&) {}
   Memory memory() const { return {}; }
-  Memory memory_before() const { return {}; }
+  Memory find_memory_before() const { return {}; }
   void restore(Memory) {}
 
   // From sample k to k + 1 under the commands u. The links' part comes from `exchange`, which is

@@ -192,7 +192,7 @@ class StepSlopes {
   // the links, `end` a state of a drive.
   ARM_INLINE void advance(State<S>& x, Memory& past, const Own& own, double h, auto&& first,
                           auto&& second, auto&& end) const {
-    constexpr double gamma = gamma_of(2);
+    constexpr double gamma = find_gamma(2);
     Row in[inputs][N];
     for (int j = 0; j < N; ++j) {
       for (int k = 0; k < K; ++k) in[k][j] = x.z[k][j].by;
@@ -304,7 +304,7 @@ class StepSlopes {
   }
   void solve_second(const Numbers<S>& n, const LinkSlopes<S>& links, const State<S>& x,
                     const Memory& past, double h, const Real* numbers) {
-    constexpr double gamma = gamma_of(2);
+    constexpr double gamma = find_gamma(2);
     [[maybe_unused]] LinkSlopes<S> own;
     const LinkSlopes<S>* at = &links;
     if constexpr (!from_past) {

@@ -103,7 +103,7 @@ class TrialDrives : public ModalDrives<S, Real> {
 
   ARM_INLINE void set_group_step(int g) {
     Group& group = groups_[g];
-    group.eliminate.prepare(group.drive, gamma_of(2) * h_);
+    group.eliminate.prepare(group.drive, find_gamma(2) * h_);
     Row::store_group(diagonal, g, group.eliminate.s * group.eliminate.b);
   }
   // For the joints side by side, from the inputs in[...].at[g].
@@ -129,7 +129,7 @@ class TrialDrives : public ModalDrives<S, Real> {
   }
   ARM_INLINE Vector compute_group_end(Group& group, int k, const auto& in, int g) const {
     const Vector k2 = group.second.z[k] + group.eliminate.e[k] * in[In::k2].at[g];
-    return in[k].at[g] + h_ * (gamma_of(2) * group.rate(k, in[In::k1].at[g]) + 0.5 * k2);
+    return in[k].at[g] + h_ * (find_gamma(2) * group.rate(k, in[In::k1].at[g]) + 0.5 * k2);
   }
 
   ARM_INLINE Row for_groups(auto&& number) {

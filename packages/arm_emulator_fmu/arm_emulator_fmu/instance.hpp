@@ -48,7 +48,7 @@ class Instance {
   // Make the machine; false if that fails.
   bool make() {
     if (!machine_.make()) return false;
-    become_new();
+    reset_machine();
     return true;
   }
 
@@ -120,7 +120,7 @@ class Instance {
   }
   Status reset() {
     if (stepping_) return busy();
-    become_new();
+    reset_machine();
     return report(kOk, "reset");
   }
 
@@ -278,18 +278,18 @@ class Instance {
   // Keep the state in `*state`, which is made if it is null.
   Status keep(void** state) {
     if (!state) return report(kError, "state must have a place, got none");
-    if (*state && !states_.is_known(*state)) return unknown_state();
+    if (*state && !states_.is_known(*state)) return refuse_unknown_state();
     if (!*state) *state = states_.make();
     put_at_start();
     unsigned char* bytes = states_.find_content(*state);
     std::memcpy(bytes, &values_, sizeof values_);
     machine_.save(bytes + sizeof values_);
-    states_.seal(*state, machine_.fingerprint());
+    states_.compute_seal(*state, machine_.fingerprint());
     return kOk;
   }
   Status restore_state(void* state) {
     if (stepping_) return busy();
-    if (!states_.is_known(state)) return unknown_state();
+    if (!states_.is_known(state)) return refuse_unknown_state();
     const unsigned char* bytes = states_.find_content(state);
     if (!machine_.restore(bytes + sizeof values_)) return refused(kError);
     std::memcpy(&values_, bytes, sizeof values_);
@@ -298,16 +298,16 @@ class Instance {
   }
   Status forget(void** state) {
     if (!state || !*state || states_.forget(state)) return kOk;
-    return unknown_state();
+    return refuse_unknown_state();
   }
   Status write_state(void* state, void* bytes, std::size_t size) {
-    if (!states_.is_known(state)) return unknown_state();
+    if (!states_.is_known(state)) return refuse_unknown_state();
     if (size != states_.size() || !bytes) return refuse_size(bytes ? size : 0);
     std::memcpy(bytes, states_.count_bytes(state), size);
     return kOk;
   }
   Status read_state(const void* bytes, std::size_t size, void** state) {
-    if (!state || (*state && !states_.is_known(*state))) return unknown_state();
+    if (!state || (*state && !states_.is_known(*state))) return refuse_unknown_state();
     if (size != states_.size() || !bytes) return refuse_size(bytes ? size : 0);
     if (const char* rule = states_.find_obstacle(bytes, machine_.fingerprint()))
       return report(kError, "serialized state must %s", rule);
@@ -316,7 +316,7 @@ class Instance {
     return kOk;
   }
   Status size_of(void* state, std::size_t* size) {
-    if (!states_.is_known(state)) return unknown_state();
+    if (!states_.is_known(state)) return refuse_unknown_state();
     if (!size) return report(kError, "size must have a place, got none");
     *size = states_.size();
     return kOk;
@@ -324,7 +324,7 @@ class Instance {
 
  private:
   // As just instantiated: everything at its start value.
-  void become_new() {
+  void reset_machine() {
     std::memset(static_cast<void*>(&values_), 0, sizeof values_);  // states have no chance bytes
     values_.mode = kInstantiated;
     values_.moved = true;
@@ -406,7 +406,9 @@ class Instance {
                   joint ? joint : "?", values_.start + truth.time);
   }
 
-  Status unknown_state() { return report(kError, "state must be one that this instance has kept"); }
+  Status refuse_unknown_state() {
+    return report(kError, "state must be one that this instance has kept");
+  }
   Status refuse_size(std::size_t size) {
     return report(kError, "serialized state must have %zu bytes, got %zu", states_.size(), size);
   }

@@ -34,7 +34,7 @@ class KeptStates {
   static unsigned char* count_bytes(void* state) { return static_cast<unsigned char*>(state); }
   static unsigned char* find_content(void* state) { return count_bytes(state) + kHead; }
   // Complete a state whose content is there.
-  void seal(void* state, std::uint64_t fingerprint) const {
+  void compute_seal(void* state, std::uint64_t fingerprint) const {
     unsigned char* bytes = count_bytes(state);
     std::memcpy(bytes, &kMagic, 8);
     std::memcpy(bytes + 8, &fingerprint, 8);

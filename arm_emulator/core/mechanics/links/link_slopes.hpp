@@ -23,7 +23,7 @@ class LinkSlopes {
       if (first < N)
         Links<S>::compute_dynamics_apart(values, q, v, at_);
       else
-        nle_apart(values, q, v, at_.nle);
+        compute_nle_apart(values, q, v, at_.nle);
       for (int i = first; i < 2 * N && i < first + width; ++i)
         for (int j = 0; j < N; ++j) {
           nle_[j][i] = at_.nle[j].by[i - first];
@@ -65,7 +65,8 @@ class LinkSlopes {
   }
 
  private:
-  static ARM_APART void nle_apart(const Numbers<S>& n, const Real* q, const Real* v, Real* nle) {
+  static ARM_APART void compute_nle_apart(const Numbers<S>& n, const Real* q, const Real* v,
+                                          Real* nle) {
     typename Links<S>::Kinematics kinematics;
     Links<S>::compute_kinematics(n, q, kinematics);
     Links<S>::compute_inverse_dynamics(n, kinematics, v, nullptr, nle);

@@ -62,7 +62,7 @@ static segment make_empty_segment(int32_t kind) {
   return none;
 }
 
-static segment joined(int32_t kind, segment a, segment b) {
+static segment join_segments(int32_t kind, segment a, segment b) {
   segment both = {0.0, 0.0};
   if (kind == ROBUSTNESS_ALWAYS) both.hold = min_of(a.hold, b.hold);
   if (kind == ROBUSTNESS_EVENTUALLY) both.hold = max_of(a.hold, b.hold);
@@ -102,7 +102,7 @@ static const double* waiting(const stream* one) {
 static double* end_of(stream* one) { return one->values + one->begin + one->count; }
 
 /* Samples that wait in both streams, or in one without a second. */
-static int64_t paired(const stream* left, const stream* right) {
+static int64_t count_pairs(const stream* left, const stream* right) {
   return right && right->count < left->count ? right->count : left->count;
 }
 
@@ -250,7 +250,7 @@ static int feed_atom(node* one, const double* row, int64_t first, int64_t count)
 }
 
 static int feed_pointwise(node* one, stream* left, stream* right) {
-  const int64_t count = paired(left, right);
+  const int64_t count = count_pairs(left, right);
   if (count == 0) return 0;
   if (make_room(&one->out, count)) return -1;
   const double* a = waiting(left);
@@ -291,17 +291,17 @@ static int make_room_in_block(node* one, int64_t more) {
 static void move(node* one, segment sample) {
   const int32_t kind = one->what.kind;
   const int64_t at = one->taken % one->width;
-  one->newest = at == 0 ? sample : joined(kind, one->newest, sample);
+  one->newest = at == 0 ? sample : join_segments(kind, one->newest, sample);
   if (at == one->width - 1) {
     *end_of(&one->out) = value_of(kind, one->newest);
     grow(&one->out, 1);
     one->block[at] = sample;
     for (int64_t i = at - 1; i >= 0; --i) {
-      one->block[i] = joined(kind, one->block[i], one->block[i + 1]);
+      one->block[i] = join_segments(kind, one->block[i], one->block[i + 1]);
     }
   } else {
     if (one->taken >= one->width) {
-      *end_of(&one->out) = value_of(kind, joined(kind, one->block[at + 1], one->newest));
+      *end_of(&one->out) = value_of(kind, join_segments(kind, one->block[at + 1], one->newest));
       grow(&one->out, 1);
     }
     one->block[at] = sample;
@@ -311,8 +311,8 @@ static void move(node* one, segment sample) {
 
 /* A segment and those of further samples: several at a time if only extremes count. */
 enum { ABREAST = 8 };
-static segment joined_with_all(int32_t kind, segment all, const double* a, const double* b,
-                               int64_t count) {
+static segment join_with_all(int32_t kind, segment all, const double* a, const double* b,
+                             int64_t count) {
   int64_t i = 0;
   if (kind != ROBUSTNESS_UNTIL && count >= ABREAST) {
     double each[ABREAST];
@@ -326,18 +326,18 @@ static segment joined_with_all(int32_t kind, segment all, const double* a, const
     }
     for (int k = 0; k < ABREAST; ++k) {
       const segment one = {each[k], -INFINITY};
-      all = joined(kind, all, one);
+      all = join_segments(kind, all, one);
     }
   }
   for (; i < count; ++i) {
     const segment sample = {a[i], b[i]};
-    all = joined(kind, all, sample);
+    all = join_segments(kind, all, sample);
   }
   return all;
 }
 
 static int feed_window(node* one, stream* left, stream* right) {
-  const int64_t count = paired(left, right);
+  const int64_t count = count_pairs(left, right);
   if (count == 0 || (!has_end(one) && !is_once(one))) return 0;
   if (make_room(&one->out, count)) return -1;
   const double* a = waiting(left);
@@ -350,7 +350,7 @@ static int feed_window(node* one, stream* left, stream* right) {
       move(one, sample);
     }
   } else {
-    one->newest = joined_with_all(kind, one->newest, a, b, count);
+    one->newest = join_with_all(kind, one->newest, a, b, count);
   }
   take(left, count);
   if (right) take(right, count);
@@ -367,11 +367,11 @@ static segment stored_sample(const node* one, const stream* left, const stream* 
 
 /* Values at each time from `first` on of a window that keeps all samples: from the end back. */
 static void accumulate_back(node* one, const stream* left, const stream* right, int64_t needed) {
-  const int64_t count = has_end(one) ? one->taken : paired(left, right);
+  const int64_t count = has_end(one) ? one->taken : count_pairs(left, right);
   segment later = make_empty_segment(one->what.kind);
   double* out = end_of(&one->out);
   for (int64_t i = (count > needed ? count : needed) - 1; i >= 0; --i) {
-    if (i < count) later = joined(one->what.kind, stored_sample(one, left, right, i), later);
+    if (i < count) later = join_segments(one->what.kind, stored_sample(one, left, right, i), later);
     if (i < needed) out[i] = value_of(one->what.kind, later);
   }
   grow(&one->out, needed);

@@ -34,7 +34,7 @@ class DeclaredValues {
       if (one.there) further[one.place] = real(values.at(one.slot));
   }
   // Whether a value would go to a motor that has no such input.
-  bool refuses(int slot, std::int64_t value) const {
+  bool is_refused(int slot, std::int64_t value) const {
     for (const Input& one : taken_)
       if (one.slot == slot && !one.there) return real(value) != 0.0F;
     return false;

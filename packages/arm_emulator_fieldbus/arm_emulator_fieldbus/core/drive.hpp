@@ -174,7 +174,7 @@ class Drive {
   // Take a value that is in the range of its entry.
   std::uint32_t take(int slot, std::int64_t value) {
     constexpr std::int64_t load = 0x64616F6C;  // "load", by which CiA 301 restores
-    if (declared_.refuses(slot, value)) return abort_code::out_of_range;
+    if (declared_.is_refused(slot, value)) return abort_code::out_of_range;
     switch (Values::entry(slot).index) {
       case 0x1003:
         if (value != 0) return abort_code::out_of_range;
@@ -262,9 +262,10 @@ class Drive {
       operates ? mode_->run(axis_) : axis_.hold_standstill();
     }
     Offsets offsets;
-    if (machine_.state() == State::operation_enabled) offsets = mode_->offsets(axis_);
+    if (machine_.state() == State::operation_enabled) offsets = mode_->compute_offsets(axis_);
     if (stopping_.halted()) offsets.speed = 0.0;
-    return loops_.command(axis_, offsets, mode_->torque_limit(axis_), mode_.about().within_limits);
+    return loops_.command(axis_, offsets, mode_->find_torque_limit(axis_),
+                          mode_.about().within_limits);
   }
   void slow_down(Stop way, bool by_halt) {
     if (!stopping_.halted() && machine_.state() == State::fault_reaction) {
@@ -354,7 +355,7 @@ class Drive {
     const bool halts = operates || machine_.state() == State::quick_stop;
     if (halts && stopping_.stands()) word |= target_reached;
     const bool stops = machine_.stop() != Stop::none;
-    return word | mode_->status(axis_, {operates, stops, stopping_.halted(), off_});
+    return word | mode_->compute_status(axis_, {operates, stops, stopping_.halted(), off_});
   }
 
   std::uint8_t error_register() const {

@@ -68,7 +68,7 @@ class Cpu {
     if (!open_) return;
     uc_ctl_set_cpu_model(uc_, UC_CPU_ARM_CORTEX_M4);
     uc_ctl_tlb_mode(uc_, UC_TLB_VIRTUAL);
-    add_hook(UC_HOOK_TLB_FILL, reinterpret_cast<void*>(first_access));
+    add_hook(UC_HOOK_TLB_FILL, reinterpret_cast<void*>(find_first_access));
     uc_ctl_exits_enable(uc_);  // no exit addresses: each would end blocks, too
     add_hook(UC_HOOK_BLOCK, reinterpret_cast<void*>(block_begins));
     add_hook(UC_HOOK_INTR, reinterpret_cast<void*>(handle_interrupt));
@@ -109,7 +109,7 @@ class Cpu {
   bool map_bus(uint32_t at, uint32_t size) {
     windows_.push_back(std::make_unique<Window>(Window{this, at}));
     Window* window = windows_.back().get();
-    return uc_mmio_map(uc_, at, size, bus_read, window, bus_write, window) == UC_ERR_OK;
+    return uc_mmio_map(uc_, at, size, read_bus, window, write_bus, window) == UC_ERR_OK;
   }
 
   // As after a reset, with stack pointer and program counter of the vector table.
@@ -450,8 +450,8 @@ class Cpu {
   }
 
   // Permission for the first access to a page.
-  static bool first_access(uc_engine*, uint64_t address, uc_mem_type type, uc_tlb_entry* out,
-                           void* self) {
+  static bool find_first_access(uc_engine*, uint64_t address, uc_mem_type type, uc_tlb_entry* out,
+                                void* self) {
     Cpu& cpu = *static_cast<Cpu*>(self);
     const Memory::Region* region = cpu.memory_.find_region(static_cast<uint32_t>(address));
     out->paddr = address;
@@ -464,11 +464,11 @@ class Cpu {
     return true;
   }
 
-  static uint64_t bus_read(uc_engine*, uint64_t offset, unsigned size, void* window) {
+  static uint64_t read_bus(uc_engine*, uint64_t offset, unsigned size, void* window) {
     const Window& one = *static_cast<Window*>(window);
     return one.cpu->bus_.read(one.at + static_cast<uint32_t>(offset), size);
   }
-  static void bus_write(uc_engine*, uint64_t offset, unsigned size, uint64_t value, void* window) {
+  static void write_bus(uc_engine*, uint64_t offset, unsigned size, uint64_t value, void* window) {
     const Window& one = *static_cast<Window*>(window);
     one.cpu->bus_.write(one.at + static_cast<uint32_t>(offset), size, static_cast<uint32_t>(value));
   }

@@ -95,8 +95,9 @@ class Devices {
       uint32_t enable = ARM_ENABLED;
       for (Pin& pin : pins_)
         if (pin.is_of(j)) {
-          if (pin.kind() == MCU_ENABLE && !pin.on()) enable &= ~static_cast<uint32_t>(ARM_ENABLED);
-          if (pin.kind() == MCU_BRAKE && pin.on()) enable |= ARM_CLOSE_BRAKE;
+          if (pin.kind() == MCU_ENABLE && !pin.is_on())
+            enable &= ~static_cast<uint32_t>(ARM_ENABLED);
+          if (pin.kind() == MCU_BRAKE && pin.is_on()) enable |= ARM_CLOSE_BRAKE;
         }
       out.joint[j].enable = enable;
     }

@@ -125,29 +125,29 @@ class GdbServer {
     return true;
   }
 
-  int byte() {
+  int read_byte() {
     if (at_ == buffered_.size() && !fill(0)) return -1;
     return static_cast<uint8_t>(buffered_[at_++]);
   }
 
   // Take one packet and answer it.
   void serve() {
-    int one = byte();
+    int one = read_byte();
     if (one < 0) return leave();
     if (one == 3) return send(stop_reply());
     if (one != '$') return;
     std::string packet;
     uint8_t sum = 0;
-    while ((one = byte()) >= 0 && one != '#') {
+    while ((one = read_byte()) >= 0 && one != '#') {
       sum = static_cast<uint8_t>(sum + one);
       if (one == '}') {
-        one = byte();
+        one = read_byte();
         sum = static_cast<uint8_t>(sum + one);
         one ^= 0x20;
       }
       if (packet.size() < MAX_PACKET) packet.push_back(static_cast<char>(one));
     }
-    const int high = byte(), low = byte();
+    const int high = read_byte(), low = read_byte();
     if (one < 0 || low < 0) return leave();
     const bool sound = parse_digit(high) * 16 + parse_digit(low) == sum;
     send_raw(sound ? "+" : "-");

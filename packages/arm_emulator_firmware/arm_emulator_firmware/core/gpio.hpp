@@ -36,7 +36,7 @@ class Pin {
     return description_.kind == MCU_ENABLE || description_.kind == MCU_BRAKE;
   }
 
-  bool on() {
+  bool is_on() {
     return (registers_.word(description_.at) >> description_.bit & 1) != (description_.low != 0);
   }
 

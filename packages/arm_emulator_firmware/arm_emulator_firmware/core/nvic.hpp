@@ -84,7 +84,7 @@ class Nvic {
   }
 
   // Whether a change may let an exception enter; reading clears it.
-  bool changed() { return std::exchange(changed_, false); }
+  bool take_change() { return std::exchange(changed_, false); }
 
   void visit_state(Checkpoint& list) {
     list(group_mask_, changed_, enabled_, pending_, active_, line_, priority_);

@@ -16,7 +16,8 @@ class Pwm {
   double voltage() {
     switch (description_.kind) {
       case MCU_BIPOLAR:
-        return runs() ? description_.full_scale * (2 * compute_duty(description_.compare) - 1) : 0;
+        return is_running() ? description_.full_scale * (2 * compute_duty(description_.compare) - 1)
+                            : 0;
       case MCU_UNIPOLAR: {
         const bool negative =
             registers_.word(description_.direction) >> description_.direction_bit & 1;
@@ -32,9 +33,9 @@ class Pwm {
   }
 
  private:
-  bool runs() { return registers_.word(description_.reload) != 0; }
+  bool is_running() { return registers_.word(description_.reload) != 0; }
   double compute_duty(uint32_t compare) {
-    if (!runs()) return 0;
+    if (!is_running()) return 0;
     const double top =
         registers_.word(description_.reload) + static_cast<double>(description_.counts_more);
     const double share = registers_.word(compare) / top;

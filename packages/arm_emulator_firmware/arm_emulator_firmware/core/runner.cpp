@@ -23,7 +23,7 @@ MCU_CALL int mcu_load(mcu_runner* runner, uint32_t at, const void* bytes, int64_
   return runner->load(at, bytes, static_cast<uint64_t>(size));
 }
 
-MCU_CALL void mcu_debug(mcu_runner* runner, int socket) { runner->debug(socket); }
+MCU_CALL void mcu_debug(mcu_runner* runner, int socket) { runner->attach_debugger(socket); }
 
 MCU_CALL void mcu_break(mcu_runner* runner, int32_t* flag) { runner->breaks = flag; }
 

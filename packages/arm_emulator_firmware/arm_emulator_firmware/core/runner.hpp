@@ -57,7 +57,9 @@ class Runner : public Bus {
     return memory_.write(at, bytes, size);
   }
 
-  void debug(int socket) { debugger_ = std::make_unique<GdbServer<Runner>>(*this, socket); }
+  void attach_debugger(int socket) {
+    debugger_ = std::make_unique<GdbServer<Runner>>(*this, socket);
+  }
 
   void step(const firmware_input& in, firmware_output& out) {
     if (stopped) return;
@@ -192,7 +194,7 @@ class Runner : public Bus {
   // Firmware's access to a device may raise an interrupt, or one sooner than planned.
   void update_deadline() {
     devices_.set_lines();
-    if (nvic_.changed() || next_event() < deadline_) cpu_.stop_soon();
+    if (nvic_.take_change() || next_event() < deadline_) cpu_.stop_soon();
   }
 
   Time next_event() const { return std::min(systick_.next(), devices_.next()); }
@@ -236,7 +238,7 @@ class Runner : public Bus {
   // Enter the pending exception of highest priority, if permitted; false: the run has ended.
   bool take_exception() {
     cpu_.masked_wait = false;
-    nvic_.changed();
+    nvic_.take_change();
     const int first = nvic_.first();
     if (!first) return true;
     const Masks masks = cpu_.masks();
@@ -247,7 +249,7 @@ class Runner : public Bus {
   }
 
   bool enter(int exception) {
-    if (!mcu::enter(cpu_, memory_, exception, system_.vectors)) return failed();
+    if (!mcu::enter(cpu_, memory_, exception, system_.vectors)) return handle_failure();
     nvic_.enter(exception);
     system_.active = static_cast<uint32_t>(exception);
     event_ = true;
@@ -286,11 +288,11 @@ class Runner : public Bus {
         is_self_branch(cpu_.pc)) {
       cpu_.fault = first_fault_;
       cpu_.pc = first_fault_pc_;
-      return failed();
+      return handle_failure();
     }
     if (cpu_.instructions >= cpu_.awake_until) {
       cpu_.fail("200 million instructions without sleep, and they take no time");
-      return failed();
+      return handle_failure();
     }
     return true;
   }
@@ -321,7 +323,7 @@ class Runner : public Bus {
   // Continue in the handler of the fault; false: no handler, the run has ended.
   bool handle_fault() {
     const Fault fault = cpu_.fault;
-    if (fault.kind == Kind::none || is_debugger_halting(fault)) return failed();
+    if (fault.kind == Kind::none || is_debugger_halting(fault)) return handle_failure();
     system_.record(fault);
     const Masks masks = cpu_.masks();
     int handler = SystemControl::find_handler(fault.kind);
@@ -331,12 +333,12 @@ class Runner : public Bus {
     }
     if (!nvic_.may_enter(handler, masks)) {
       locked_up_ = true;
-      return failed();
+      return handle_failure();
     }
     uint32_t vector = 0;
     const bool is_there =
         memory_.read(system_.vectors + 4 * static_cast<uint32_t>(handler), &vector, 4);
-    if (!is_there || !(vector & 1) || is_self_branch(vector & ~1u)) return failed();
+    if (!is_there || !(vector & 1) || is_self_branch(vector & ~1u)) return handle_failure();
     if (!figures.faults) put_fault(fault.what, fault.address, fault.has_address);
     if (!figures.faults++ || system_.active != Nvic::HARD_FAULT)
       first_fault_ = fault, first_fault_pc_ = cpu_.pc;
@@ -356,9 +358,9 @@ class Runner : public Bus {
     const int exception = static_cast<int>(system_.active);
     if (!nvic_.is_active(exception)) {
       cpu_.fail("an exception return outside of handlers");
-      return failed();
+      return handle_failure();
     }
-    if (!mcu::leave(cpu_, memory_, cpu_.pc)) return failed();
+    if (!mcu::leave(cpu_, memory_, cpu_.pc)) return handle_failure();
     nvic_.leave(exception);
     if (exception != Nvic::NMI) cpu_.set(UC_ARM_REG_FAULTMASK, 0);
     system_.active = cpu_.get(UC_ARM_REG_XPSR) & 0x1ff;
@@ -367,7 +369,7 @@ class Runner : public Bus {
     return true;
   }
 
-  bool failed() {
+  bool handle_failure() {
     end(cpu_.fault.what ? cpu_.fault.what : "no reason", cpu_.fault.address,
         cpu_.fault.has_address);
     if (debugger_) debugger_->report_end();

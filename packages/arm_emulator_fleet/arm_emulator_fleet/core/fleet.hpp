@@ -510,7 +510,7 @@ struct arm_fleet {
         return false;
     return true;
   }
-  int result_of(std::int32_t first, std::int32_t count) const {
+  int find_result(std::int32_t first, std::int32_t count) const {
     for (std::int32_t k = first; k < first + count; ++k)
       if (!is_in_lane(k) && machine[k]->result() != ARM_OK) return ARM_DIVERGED;
     return ARM_OK;

@@ -46,7 +46,7 @@ int arm_fleet_run(arm_fleet* fleet, std::int32_t first, std::int32_t arms, const
   }
   for (std::int32_t k = first; k < end; k += lanes)
     fleet->follow_rows(k / lanes, command + k * N, stride, rows, steps, q + k * N);
-  return fleet->result_of(first, arms);
+  return fleet->find_result(first, arms);
 }
 
 std::int32_t arm_fleet_refused(const arm_fleet* fleet) { return fleet ? fleet->refused() : -1; }
@@ -171,7 +171,7 @@ int arm_fleet_step(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
       fleet->hold_commands(k / lanes, command->joint, further, command->tick, periods);
     fleet->observe(k / lanes, measurement, truth);
   }
-  return fleet->result_of(first, arms);
+  return fleet->find_result(first, arms);
 }
 
 int arm_fleet_follow(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
@@ -197,7 +197,7 @@ int arm_fleet_follow(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
       result = ARM_REFUSED;
   for (std::int32_t k = first; k < first + arms; k += lanes)
     fleet->observe(k / lanes, measurement, truth);
-  return result == ARM_OK ? fleet->result_of(first, arms) : result;
+  return result == ARM_OK ? fleet->find_result(first, arms) : result;
 }
 
 int arm_fleet_get_truth(const arm_fleet* fleet, arm_fleet_truth* out) {

@@ -62,7 +62,7 @@ class LaneStepper {
     State<S, X> start = x;
     const Attempt attempt = attempt_step(x, u, links, exchange);
     if (any(attempt.is_separate)) {
-      Memory past = memory_before(attempt);
+      Memory past = find_memory_before(attempt);
       Memory later = method_.memory();
       for (int lane = 0; lane < width; ++lane) {
         if (!attempt.is_separate[lane]) continue;
@@ -84,7 +84,7 @@ class LaneStepper {
     const Attempt attempt = attempt_step(x, u, find_links_at(x), exchange);
     if (!any(attempt.is_separate)) return true;
     x = start;
-    restore(memory_before(attempt));
+    restore(find_memory_before(attempt));
     return false;
   }
 
@@ -111,8 +111,8 @@ class LaneStepper {
     }
     return {smooth_at_start, is_used_ & ~smooth, takes_step};
   }
-  Memory memory_before(const Attempt& attempt) const {
-    return attempt.is_taken ? method_.memory_before() : method_.memory();
+  Memory find_memory_before(const Attempt& attempt) const {
+    return attempt.is_taken ? method_.find_memory_before() : method_.memory();
   }
 
   static constexpr bool locates = kLocatesEvents<S>;

@@ -62,7 +62,7 @@ class Coe {
   }
 
   // The message that reports an error to a master (0x603F, 0x1001).
-  static Bytes emergency(std::uint16_t code, std::uint8_t error_register) {
+  static Bytes make_emergency(std::uint16_t code, std::uint8_t error_register) {
     Bytes body(8, 0);
     put16(&body[0], code);
     body[2] = error_register;

@@ -43,13 +43,13 @@ class Mailbox {
     if (!managers_.is_enabled(kIn)) return;
     if (managers_.is_repeat_requested(kIn) == repeated_) return;
     repeated_ = managers_.is_repeat_requested(kIn);
-    if (!newest_.empty() && !managers_.full(kIn)) put(newest_);
+    if (!newest_.empty() && !managers_.is_full(kIn)) put(newest_);
     managers_.acknowledge_repeat(kIn);
   }
 
-  void emergency(std::uint16_t code, std::uint8_t error_register) {
+  void send_emergency(std::uint16_t code, std::uint8_t error_register) {
     if (managers_.is_enabled(kIn) && waiting_.size() < kMost)
-      send(kCoe, Coe::emergency(code, error_register));
+      send(kCoe, Coe::make_emergency(code, error_register));
   }
 
  private:
@@ -57,7 +57,7 @@ class Mailbox {
   static constexpr std::size_t kHeader = 6, kMost = 16;
 
   void serve() {
-    if (!managers_.is_enabled(kOut) || !managers_.full(kOut) || waiting_.size() >= kMost) return;
+    if (!managers_.is_enabled(kOut) || !managers_.is_full(kOut) || waiting_.size() >= kMost) return;
     const Bytes message(managers_.area(kOut), managers_.area(kOut) + managers_.length(kOut));
     managers_.set_full(kOut, false);
     const std::size_t size = get16(message.data());
@@ -93,7 +93,7 @@ class Mailbox {
     fill();
   }
   void fill() {
-    if (waiting_.empty() || !managers_.is_enabled(kIn) || managers_.full(kIn)) return;
+    if (waiting_.empty() || !managers_.is_enabled(kIn) || managers_.is_full(kIn)) return;
     newest_ = std::move(waiting_.front());
     waiting_.pop_front();
     put(newest_);

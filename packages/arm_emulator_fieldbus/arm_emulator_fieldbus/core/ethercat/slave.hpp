@@ -149,7 +149,7 @@ class Slave {
     const std::uint16_t error = error_code();
     if (error == errors_reported_) return;
     errors_reported_ = error;
-    mailbox_.emergency(error, static_cast<std::uint8_t>(drive_.values().number(0x1001, 0)));
+    mailbox_.send_emergency(error, static_cast<std::uint8_t>(drive_.values().number(0x1001, 0)));
   }
 
   // A frame was thrown away.
@@ -180,7 +180,7 @@ class Slave {
   // Outputs: bits of a datagram go to the memory. Other bits of a byte are kept.
   bool take(const Fmmu& unit, std::uint32_t address, std::span<const std::uint8_t> data) {
     Shared share;
-    if (!shared(unit.find_overlap(address, data.size()), share)) return false;
+    if (!find_shared(unit.find_overlap(address, data.size()), share)) return false;
     std::copy_n(memory_.at(share.first), share.size, share.bytes.begin());
     copy_bits(data.data(), share.bits.in_datagram, share.bytes.data(), share.bit, share.bits.size);
     return write(share.first, std::span(share.bytes).first(share.size));
@@ -188,7 +188,7 @@ class Slave {
   // Inputs: the other way round.
   bool give(const Fmmu& unit, std::uint32_t address, std::span<std::uint8_t> data) {
     Shared share;
-    if (!shared(unit.find_overlap(address, data.size()), share)) return false;
+    if (!find_shared(unit.find_overlap(address, data.size()), share)) return false;
     if (!read(share.first, std::span(share.bytes).first(share.size), false)) return false;
     copy_bits(share.bytes.data(), share.bit, data.data(), share.bits.in_datagram, share.bits.size);
     return true;
@@ -200,7 +200,7 @@ class Slave {
     std::size_t first, size, bit;
     std::array<std::uint8_t, 2049> bytes;
   };
-  static bool shared(const Mapped& bits, Shared& out) {
+  static bool find_shared(const Mapped& bits, Shared& out) {
     out.bits = bits;
     out.first = bits.address / 8;
     out.bit = bits.address % 8;
@@ -222,13 +222,13 @@ class Slave {
   std::uint16_t all_events() const {
     unsigned events = memory_.get16(reg::kEvents) & 0x000fu;
     for (int k = 0; k < ethercat::kSyncManagers; ++k)
-      if (managers_.full(k)) events |= static_cast<unsigned>(event::kSyncManager0) << k;
+      if (managers_.is_full(k)) events |= static_cast<unsigned>(event::kSyncManager0) << k;
     return static_cast<std::uint16_t>(events);
   }
   void handle_read(std::size_t address, std::size_t size) {
     managers_.close(address, size, [this](int k) {
       if (managers_.is_written_by_master(k)) return;
-      if (managers_.mailbox(k)) {
+      if (managers_.is_mailbox(k)) {
         if (k == Mailbox::kIn)
           mailbox_.read();
         else
@@ -245,9 +245,9 @@ class Slave {
     const std::size_t size = in.size();
     managers_.close(address, size, [this](int k) {
       if (!managers_.is_written_by_master(k)) return;
-      if (k == Mailbox::kOut && managers_.mailbox(k))
+      if (k == Mailbox::kOut && managers_.is_mailbox(k))
         mailbox_.written();
-      else if (managers_.mailbox(k))
+      else if (managers_.is_mailbox(k))
         managers_.set_full(k, true);
       else
         managers_.turn_buffer(k);
@@ -334,7 +334,7 @@ class Slave {
 
   bool mailboxes_fit() const {
     const auto sound = [this](int k, std::size_t start, bool by_master) {
-      return managers_.is_switched_on(k) && managers_.mailbox(k) &&
+      return managers_.is_switched_on(k) && managers_.is_mailbox(k) &&
              managers_.is_written_by_master(k) == by_master && managers_.start(k) == start &&
              managers_.length(k) >= 34 && managers_.length(k) <= area::kMailbox;
     };
@@ -345,7 +345,7 @@ class Slave {
   bool is_valid_buffer(int k, std::size_t start, std::size_t end, std::size_t size,
                        bool by_master) const {
     if (size == 0) return !managers_.is_switched_on(k) || managers_.length(k) == 0;
-    return managers_.is_switched_on(k) && !managers_.mailbox(k) &&
+    return managers_.is_switched_on(k) && !managers_.is_mailbox(k) &&
            managers_.is_written_by_master(k) == by_master && managers_.start(k) == start &&
            managers_.length(k) == size && start + 3 * size <= end;
   }

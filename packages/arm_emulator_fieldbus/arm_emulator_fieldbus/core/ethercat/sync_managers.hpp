@@ -20,9 +20,9 @@ class SyncManagers {
     if (on == is_served(k)) return;
     const std::uint8_t rest = memory_.get8(at(k) + 7) & 0xfe;
     memory_.put8(at(k) + 7, static_cast<std::uint8_t>(rest | (on ? 0 : 1)));
-    if (!on) empty(k);
+    if (!on) clear_area(k);
   }
-  bool mailbox(int k) const { return (memory_.get8(at(k) + 4) & 3) == 2; }
+  bool is_mailbox(int k) const { return (memory_.get8(at(k) + 4) & 3) == 2; }
   bool is_written_by_master(int k) const { return (memory_.get8(at(k) + 4) & 0x0c) == 4; }
   bool is_watchdog_trigger(int k) const { return memory_.get8(at(k) + 4) & 0x40; }
   bool is_repeat_requested(int k) const { return memory_.get8(at(k) + 6) & 2; }
@@ -34,7 +34,7 @@ class SyncManagers {
   std::size_t length(int k) const { return memory_.get16(at(k) + 2); }
   std::uint8_t* area(int k) { return memory_.at(start(k)); }
 
-  bool full(int k) const { return memory_.get8(at(k) + 5) & 0x08; }
+  bool is_full(int k) const { return memory_.get8(at(k) + 5) & 0x08; }
   void set_full(int k, bool full) {
     const std::uint8_t rest = memory_.get8(at(k) + 5) & 0xf7;
     memory_.put8(at(k) + 5, static_cast<std::uint8_t>(rest | (full ? 0x08 : 0)));
@@ -54,7 +54,7 @@ class SyncManagers {
       if (!is_switched_on(k) || !is_overlapping(address, size, start(k), length(k))) continue;
       if (!is_served(k)) return false;
       if (is_written_by_master(k) != write) return false;
-      if (mailbox(k) && full(k) == write) return false;
+      if (is_mailbox(k) && is_full(k) == write) return false;
       if (address <= start(k)) opened_[k] = true;
       if (!opened_[k]) return false;
     }
@@ -75,7 +75,7 @@ class SyncManagers {
   // The master has written to these registers: an area that is switched on begins empty.
   void configure(std::size_t address, std::size_t size) {
     for (int k = 0; k < kSyncManagers; ++k)
-      if (is_overlapping(address, size, at(k), 8) && !is_switched_on(k)) empty(k);
+      if (is_overlapping(address, size, at(k), 8) && !is_switched_on(k)) clear_area(k);
   }
 
   // Whether a master cannot change this byte of the registers now: status, the slave's own bytes,
@@ -87,7 +87,7 @@ class SyncManagers {
   }
 
  private:
-  void empty(int k) {
+  void clear_area(int k) {
     memory_.put8(at(k) + 5, memory_.get8(at(k) + 5) & 0xc0);
     opened_[k] = false;
   }

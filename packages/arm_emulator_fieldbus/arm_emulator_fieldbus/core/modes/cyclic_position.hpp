@@ -27,10 +27,10 @@ class CyclicPosition final : public Mode {
     axis.demand.position = line_.position();
     axis.demand.speed = line_.speed();
   }
-  Offsets offsets(const Axis& axis) const override {
+  Offsets compute_offsets(const Axis& axis) const override {
     return {axis.number<0x60B1>(), axis.number<0x60B2>()};
   }
-  std::uint16_t status(const Axis&, const Situation& now) const override {
+  std::uint16_t compute_status(const Axis&, const Situation& now) const override {
     return now.follows() | (now.off ? status::bit13 : 0);
   }
 

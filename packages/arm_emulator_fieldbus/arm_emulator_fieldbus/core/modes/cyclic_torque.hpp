@@ -18,7 +18,9 @@ class CyclicTorque final : public Mode {
     axis.demand.loop = Loop::torque;
     axis.demand.torque = static_cast<double>(axis.values.get<0x6071>() + axis.values.get<0x60B2>());
   }
-  std::uint16_t status(const Axis&, const Situation& now) const override { return now.follows(); }
+  std::uint16_t compute_status(const Axis&, const Situation& now) const override {
+    return now.follows();
+  }
 };
 
 }  // namespace fieldbus

@@ -16,8 +16,10 @@ class CyclicVelocity final : public Mode {
     axis.demand.loop = Loop::speed;
     axis.demand.speed = axis.clamp_speed(asked, axis.motor_speed());
   }
-  Offsets offsets(const Axis& axis) const override { return {0.0, axis.number<0x60B2>()}; }
-  std::uint16_t status(const Axis&, const Situation& now) const override { return now.follows(); }
+  Offsets compute_offsets(const Axis& axis) const override { return {0.0, axis.number<0x60B2>()}; }
+  std::uint16_t compute_status(const Axis&, const Situation& now) const override {
+    return now.follows();
+  }
 };
 
 }  // namespace fieldbus

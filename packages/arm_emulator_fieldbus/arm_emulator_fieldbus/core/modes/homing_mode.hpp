@@ -32,11 +32,11 @@ class HomingMode final : public Mode {
     axis.set_home(place);
     axis.hold_standstill();
   }
-  double torque_limit(const Axis& axis) const override {
+  double find_torque_limit(const Axis& axis) const override {
     const bool presses = homing_.moves() && Homing::is_by_stop(axis.values.get<0x6098>());
-    return presses ? axis.number<0x2003>() : Mode::torque_limit(axis);
+    return presses ? axis.number<0x2003>() : Mode::find_torque_limit(axis);
   }
-  std::uint16_t status(const Axis& axis, const Situation& now) const override {
+  std::uint16_t compute_status(const Axis& axis, const Situation& now) const override {
     std::uint16_t word = 0;
     if (homing_.phase() == Homing::Phase::attained) word |= status::bit12;
     if (homing_.phase() == Homing::Phase::failed) word |= status::bit13;

@@ -48,13 +48,15 @@ class Mode {
   virtual void resume(Axis& axis, bool /*by_halt*/) { take_over(axis); }
   // Set the demands of a period.
   virtual void run(Axis& axis) { axis.hold_standstill(); }
-  virtual Offsets offsets(const Axis&) const { return {}; }
+  virtual Offsets compute_offsets(const Axis&) const { return {}; }
   // 0.1 %, beside the limits that the dictionary has for all modes.
-  virtual double torque_limit(const Axis&) const { return std::numeric_limits<double>::infinity(); }
+  virtual double find_torque_limit(const Axis&) const {
+    return std::numeric_limits<double>::infinity();
+  }
   // A period was measured.
   virtual void look(const Axis&) {}
   // Bits of the statusword.
-  virtual std::uint16_t status(const Axis&, const Situation&) const { return 0; }
+  virtual std::uint16_t compute_status(const Axis&, const Situation&) const { return 0; }
 
  protected:
   ~Mode() = default;

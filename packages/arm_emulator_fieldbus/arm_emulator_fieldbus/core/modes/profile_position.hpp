@@ -47,7 +47,7 @@ class ProfilePosition final : public Mode {
     const bool at_target = std::fabs(target_ - axis.counts()) <= axis.number<0x6067>();
     reached_.look(at_target && profile_.done(), axis.dt);
   }
-  std::uint16_t status(const Axis& axis, const Situation& now) const override {
+  std::uint16_t compute_status(const Axis& axis, const Situation& now) const override {
     std::uint16_t word = 0;
     const bool reached = axis.has_lasted(reached_.time, axis.values.get<0x6068>());
     if (now.operates && !now.halted && !buffered_ && reached) word |= status::target_reached;

@@ -21,7 +21,7 @@ class ProfileTorque final : public Mode {
     axis.demand.loop = Loop::torque;
     axis.demand.torque = ramp(axis.demand.torque, axis.number<0x6071>(), slope, slope, axis.dt);
   }
-  std::uint16_t status(const Axis& axis, const Situation& now) const override {
+  std::uint16_t compute_status(const Axis& axis, const Situation& now) const override {
     const bool reached = axis.demand.torque == axis.number<0x6071>();
     return now.operates && !now.halted && reached ? status::target_reached : 0;
   }

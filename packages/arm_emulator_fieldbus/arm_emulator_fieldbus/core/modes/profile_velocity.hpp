@@ -23,7 +23,7 @@ class ProfileVelocity final : public Mode {
     reached_.look(std::fabs(axis.number<0x60FF>() - speed) <= axis.velocity_window(), axis.dt);
     still_.look(std::fabs(speed) <= axis.velocity_threshold(), axis.dt);
   }
-  std::uint16_t status(const Axis& axis, const Situation& now) const override {
+  std::uint16_t compute_status(const Axis& axis, const Situation& now) const override {
     std::uint16_t word = 0;
     const bool reached = axis.has_lasted(reached_.time, axis.values.get<0x606E>());
     if (now.operates && !now.halted && reached) word |= status::target_reached;
