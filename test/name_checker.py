@@ -22,8 +22,8 @@ NO_VERB = (2.5, 30.0)  # percent of functions whose name does not begin with a v
 NO_PREFIX = (1, 0)  # functions and properties of bool without is_, has_, can_
 TWICE = (1, 20)  # class names that several modules define
 WORDS = (2.1, 1.9)  # at least: mean number of words in the name of a function
-C_NO_VERB = (34.0, 20.0)  # as above, of functions in C and C++
-C_WORDS = (1.88, 1.9)
+C_NO_VERB = (23.5, 20.0)  # as above, of functions in C and C++
+C_WORDS = (1.9, 1.9)
 # A word that is no term of the field, and what to write instead.
 INSTEAD = {
     "one": "joint, part, number, file", "other": "second, neighbour", "given": "argument, input",
