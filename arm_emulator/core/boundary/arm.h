@@ -272,8 +272,9 @@ int64_t arm_spent(const arm_machine* machine);
 
 /* Bytes of a saved machine. */
 int64_t arm_saved_size(void);
-/* Save the whole state, and continue from it to the last bit in any machine of a library with the
- * same fingerprint and the same options. Power, tick and fault are part of it. The bytes hold no
+/* Save the whole state, and restore it. A restored machine continues to the last bit, in any
+ * library with the same fingerprint and the same options. Power, tick and fault are part of it. The
+ * bytes hold no
  * pointers and may be kept in a file; corrupted ones are refused. */
 int arm_save(const arm_machine* machine, void* out, int64_t size);
 int arm_restore(arm_machine* machine, const void* saved, int64_t size);

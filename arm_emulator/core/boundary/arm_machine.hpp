@@ -390,8 +390,8 @@ struct arm_machine {
                            readings ? readings + arm::count_deflections<Scene>() * J : nullptr};
     measure_by(sensors, places);
   }
-  // Fill the rows of deflections among the readings, if they are there, by position(drive), which
-  // is the angle of a motor that is not there.
+  // Fill the rows of deflections among the readings, if the scene has them, by position(drive). The
+  // position is the angle of a deflection's missing motor.
   template <class Position>
   static void write_deflections(double* readings, Position&& position) {
     for (int row = 0; readings && row < arm::count_deflections<Scene>(); ++row)

@@ -15,11 +15,11 @@
 extern "C" {
 #endif
 
-/* The linear part of every drive (drive_table.hpp), for the analysis of small motions: what the
- * schemes treat implicitly, and the linearisation about a gear that is not wound up, wherever the
- * machine is. Rows of K states; returns K. out, per joint: how many states it has, the carried
- * rotor, D (K), F (K rows of K + 3), G (K + 3), and what motor current and motor angle are (K + 3
- * each); the columns are z, q, v and u. A gear with play has a tooth in contact if `loaded`, else
+/* The linear part of every drive (drive_table.hpp), for the analysis of small motions. The schemes
+ * treat it implicitly. It is the linearisation about a gear that is not wound up, at any state of
+ * the machine. Rows of K states; returns K. out, per joint: the number of its states, the carried
+ * rotor, D (K), F (K rows of K + 3), G (K + 3), and the rows of motor current and motor angle (K +
+ * 3 each); the columns are z, q, v and u. A gear with play has a tooth in contact if `loaded`, else
  * none. With `out` null only K is returned. */
 int32_t arm_linear_drives(const double* point, int32_t loaded, double* out);
 

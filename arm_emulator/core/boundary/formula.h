@@ -1,10 +1,10 @@
 /* Formulas at an instant, for conditions, breakpoints and campaigns: rows, each computed from rows
  * before it, a number for each instant of a block. C99.
  *
- * Numbers are doubles of IEEE 754, rounded after each operation: what is too large is infinite. Not
- * a number are a quotient by 0 (whose sign of infinity would depend on the sign of 0), the square
- * root of a negative number, inf - inf, 0 * inf, inf / inf, and what is computed from such a value:
- * minima and maxima too, in whatever order their arguments stand.
+ * Numbers are doubles of IEEE 754, rounded after each operation: what is too large is infinite. A
+ * quotient by 0 is not a number, since the sign of infinity would depend on the sign of 0. Nor are
+ * the square root of a negative number, inf - inf, 0 * inf, inf / inf, and values computed from
+ * them: minima and maxima too, in any order of their arguments.
  *
  * Truth values are doubles, too: the margin of a comparison, more - less, where it holds (> 0) and
  * where it fails (< 0). 0 is neither: a comparison with what is not a number is undefined, and so

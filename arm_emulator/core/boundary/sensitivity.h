@@ -24,9 +24,10 @@ typedef struct arm_sensitive_run {
   int64_t rows;
   int64_t steps;
   int64_t parts;
-  /* For each row of commands its end: of every joint q, v, then motor current [A], angle [rad]
-     and speed [rad/s], of each its value and, side by side, the derivatives of all parts: the one
-     of these, and a row of `stride` numbers of those, for each joint. */
+  /* The state at the end of each row of commands: of every joint q, v, then motor current [A],
+     angle [rad] and speed [rad/s]. For each of these quantities `values` has a number per joint.
+     `slopes` has a row of `stride` numbers per joint: the derivatives of all parts, side by side.
+     */
   double* values;
   double* slopes;
   int64_t stride;

@@ -7,9 +7,10 @@
 // regularisation and at any step size. The instants of stopping and starting are known to one step,
 // and the scheme's order there is 1 (2 in event_location.hpp).
 //
-// Locked joints are coupled: a descent decides which of them break away. W is positive definite, so
-// the accelerations x minimise x W x / 2 - rhs x + sum of Dc |x|, with Dc for joints that have
-// broken away. Each round lowers this sum: it frees the most overloaded joint, and locks a joint
+// Locked joints are coupled: a descent decides which of them break away. W is positive definite.
+// The accelerations x therefore minimise x W x / 2 - rhs x + sum of Dc |x|, with Dc for joints that
+// have broken away. Each round lowers this sum: it frees the most overloaded joint, and locks a
+// joint
 // that would reverse. Hence the rounds are finite, and the result is consistent for all joints.
 #pragma once
 

@@ -38,8 +38,8 @@ constexpr Body<Real> add_load(Body<Real> bare, Real m, const Body<Real>& per_kg)
   return bare;
 }
 
-// A joint's place and the link that it moves. The link's frame has its origin on the joint axis, z
-// along it, and x so that the turn from the parent's frame is Rx(alpha) Rz(q + theta_0). A parent's
+// A joint's place and the link that it moves. The link's frame has its origin on the joint axis and
+// z along it. Its x makes the turn from the parent's frame Rx(alpha) Rz(q + theta_0). A parent's
 // x suits the first of its children; for the others Rz(gamma) comes first (Khalil, Kleinfinger).
 struct Link {
   JointKind kind;

@@ -6,7 +6,7 @@
 
 namespace arm {
 
-// The drives' states z, one row for each (listed in drive.hpp), link angle q [rad] and speed v
+// The drives' states z, one row for each (listed in drive.hpp). Link angle q [rad] and speed v
 // [rad/s] (m and m/s for prismatic joints).
 template <class S, class X = Real>
 struct State {

@@ -26,7 +26,7 @@ struct NoneLeftOut {
 };
 
 // U D U^T, from the tip to the base: the order in which the recursions of the links deliver M and
-// the right-hand side, so that the first eliminations need not wait for the last rows.
+// the right-hand side. The first eliminations therefore do not wait for the last rows.
 template <int N, class X, class Pattern>
 struct FromTheTip {
   X U[N][N];  // -U[k][i] is row i, column k of the factor, i < k

@@ -11,8 +11,9 @@ namespace arm {
 
 inline constexpr std::int64_t kExponent = 0x7ff0000000000000;
 
-// Under these flags a compiler may assume that no number is infinite or NaN, and fold tests of bits
-// that it has seen computed (clang does since version 18). This hides a number from it.
+// Under these flags a compiler may assume that no number is infinite or NaN. It may fold tests of
+// bits whose computation it sees (clang does since version 18). This function hides a number from
+// the compiler.
 template <class Bits>
 ARM_INLINE Bits unforeseen(Bits bits) {
 #if defined(__CUDA__)

@@ -22,10 +22,10 @@
 
 namespace arm {
 
-// Inputs in which a joint's part of a step is linear: z, q, v, u, the numbers of its M modes
-// (mode.hpp), the nonlinear parts at the step's start in the rows of f and in g, the acceleration
-// of the link in the first stage, the change of these parts in it, and the acceleration in the
-// second. R is K + 1, or 0 if all drives are linear.
+// Inputs in which a joint's part of a step is linear. They are z, q, v, u and the numbers of its M
+// modes (mode.hpp). The nonlinear parts at the step's start in the rows of f and in g follow. The
+// last are the acceleration of the link in the first stage, the change of the nonlinear parts in
+// it, and the acceleration in the second stage. R is K + 1, or 0 if all drives are linear.
 template <int K, int M, int R>
 struct StepInput {
   static constexpr int q = K, v = K + 1, u = K + 2, offset = K + 3, nonlinear = offset + M;

@@ -210,9 +210,9 @@ class EventLocation {
     }
   }
 
-  // The time at which the first mode ceases to hold, somewhat below `left`, by inverse quadratic
-  // interpolation or, where that is not safe, by halves (Chandrupatla, Adv. Eng. Software 28,
-  // 1997); y is the state then, where it does not hold any more.
+  // Return the time at which the first mode ceases to hold, somewhat below `left`. It is found by
+  // inverse quadratic interpolation or, where that is not safe, by halves (Chandrupatla, Adv. Eng.
+  // Software 28, 1997). y is the state then, in which the mode no longer holds.
   Real find_first_event(const State<S>& x, State<S>& y, const Real (&u)[row], const Modes<S>& modes,
                         const Dynamics& links, Trial bracket) {
     Trial last;

@@ -1,17 +1,17 @@
 // Linearly implicit schemes: implicit Euler, and the Rosenbrock method ROS2 in two forms.
 //
-// All solve  (I - s A) k = r,  s = gamma h,  for the rates k of the state x = (z, q, v), where A is
-// the part of the Jacobian that is stiff and cheap: the drive of each joint by itself, viscous
-// friction included (drive_table.hpp). A leaves out how nle and M change with q and v.
+// All solve (I - s A) k = r, s = gamma h, for the rates k of the state x = (z, q, v). A is the part
+// of the Jacobian that is stiff and cheap: the drive of each joint by itself, viscous friction
+// included (drive_table.hpp). A leaves out how nle and M change with q and v.
 //
 //   implicit      k = f(x),  x' = x + h k                                       (gamma = 1)
 //   rosenbrock    (I - s A) k1 = f(x)
 //                 (I - s A) K2 = f(x + h k1) - 2 k1,  x' = x + h (3 k1 + K2) / 2
 //
 // ROS2 is a W-method: of order 2 with any A (Verwer, Spee, Blom and Hundsdorfer, SIAM J. Sci.
-// Comput. 20, 1999), and L-stable in what A holds for gamma = 1 - 1/sqrt(2). What A holds need not
-// be evaluated a second time: f(x + h k1) = f(x) + h A k1 + d, where h A k1 = (k1 - f(x)) / gamma
-// and d is what the links' part changes. With K2 = (1 - 1/gamma) k1 + k2 and 1/gamma - 2 = sqrt(2)
+// Comput. 20, 1999), and L-stable in what A holds for gamma = 1 - 1/sqrt(2). The part in A needs no
+// second evaluation: f(x + h k1) = f(x) + h A k1 + d, where h A k1 = (k1 - f(x)) / gamma. d is the
+// change of the links' part. With K2 = (1 - 1/gamma) k1 + k2 and 1/gamma - 2 = sqrt(2)
 //
 //                 (I - s A) k2 = sqrt(2) k1 + d,  x' = x + h (gamma k1 + k2 / 2)
 //
@@ -465,8 +465,9 @@ class LinearlyImplicit {
     spare_ = half_->spare_;
   }
 
-  // Whether this part of a step may be halved. A step that needs more parts than its events have
-  // does not resolve the machine (a motor far faster than the step), and keeps modes sooner.
+  // Whether this part of a step may be halved. A step may need more parts than its events have.
+  // Then it does not resolve the machine (a motor far faster than the step), and keeps modes
+  // sooner.
   bool can_halve() {
     if (halvings_ == 0) spare_ = kMaxHalved;
     return halvings_ < kMaxHalvings && spare_ > 0;

@@ -1,5 +1,5 @@
-// A motion with located events as the smooth parts of its steps, so that it can be made again with
-// derivatives, without the decisions and searches (derivative_replay.hpp).
+// A motion with located events, as the smooth parts of its steps. derivative_replay.hpp makes it
+// again with derivatives, without the decisions and searches.
 #pragma once
 
 #if defined(ARM_RECORDS)  // 4 in 10 lines of a unit that does without

@@ -2,16 +2,17 @@
 // all directions at once: what costs the most is done once for all of them.
 //
 // The drives' part of a step (drive_steps.hpp) is taken with numbers whose directions are the
-// inputs of one joint, the same for all joints, since no drive depends on another joint: its
-// states z, q, v, and the link's accelerations k1 and k2 in both stages. What that gives are the
-// rows of a small matrix per joint. The links' part has derivatives by q and v (link_slopes.hpp).
+// inputs of one joint: its states z, q, v, and the link's accelerations k1 and k2 in both stages.
+// No drive depends on another joint, so the directions are the same for all joints. The results are
+// the rows of a small matrix per joint. The links' part has derivatives by q and v
+// (link_slopes.hpp).
 // With d for the change along a direction, the stages of linearly_implicit.hpp are then
 //
 //   W dk1 = first (dz, dq, dv) - (dM k1 + dnle)                     W = M + carried + diagonal
 //   W dk2 = second (dz, dq, dv, dk1) - dM k2 - sqrt(2) dnle + change of the links
 //
-// of which W is factored once. Numbers that change along a direction add what they do at a state
-// that does not change (OwnSlopes), in the joints that they belong to.
+// of which W is factored once. Numbers that change along a direction add their effect at a fixed
+// state (OwnSlopes), in the joints that they belong to.
 #pragma once
 
 #include "mechanics/links/link_slopes.hpp"

@@ -1,9 +1,9 @@
 // The modes of a machine (modes.hpp), stored from step to step: most steps begin in the modes in
 // which the one before has ended.
 //
-// Whether they do is seen at little cost: the end of a step finds the torques of the locks anyway,
-// and drives that are surely in their regular modes (mode.hpp) need no closer look. The modes are
-// those that each step would determine by itself.
+// This check costs little. The end of a step finds the torques of the locks anyway. Drives that are
+// surely in their regular modes (mode.hpp) need no further check. The modes are those that each
+// step would determine by itself.
 #pragma once
 
 #include "mechanics/modes.hpp"

@@ -83,8 +83,9 @@ void path_spline(int32_t nodes, int32_t columns, double step, const double* y, d
 void path_rows(const path_arm* arm, const path_curve* curve, const path_limits* limits, double ramp,
                int32_t count, const double* sigma, double* max_c, double* firsts, double* thirds);
 
-/* Factors of c, 1 or less, with which the timing keeps all limits at `looks` evenly spread places
- * of each piece, both ends among them, `keeps` (intervals). jerk_margin: factor of jerks. */
+/* Write `keeps` (intervals): factors of c, 1 or less, with which the timing keeps all limits. The
+ * limits are checked at `looks` evenly spread places of each piece, both ends among them.
+ * jerk_margin: factor of jerks. */
 void path_keeps(const path_arm* arm, const path_curve* curve, const path_limits* limits,
                 double ramp, int32_t intervals, const double* coefficients, int32_t looks,
                 double jerk_margin, double* keeps);

@@ -1,6 +1,6 @@
 /* Messages in CDR, little- or big-endian: found field by field, checked, and read. C99.
  *
- * The fields of a message, and what is read of each, stand in a table that Python makes of the
+ * A table has the fields of a message, and what is read of each. Python makes the table from the
  * message's type (arm_emulator/ros/messages/message_reader.py). Rows of numbers, one per joint,
  * come in the order of the names in the message, and are read into that of the receiver.
  */

@@ -9,8 +9,8 @@
  *   velocity   i_ref = Kv (omega_ref - omega) + integral + tau_feedforward Ng / Kt
  *   current    V such that the mean current of the coming period is i_ref - c (i_ref - i)
  *
- * The last stage is exact for winding and rotor over a period in which voltage and load are held,
- * so that the law holds for motors slower and faster than the period alike. For slow ones
+ * The last stage is exact for winding and rotor over a period in which voltage and load are held.
+ * The law therefore holds for motors slower and faster than the period alike. For slow ones
  * V = R i_ref + Kb omega + Rc (i_ref - i).
  *
  * A drive that closes a current loop takes a current in the place of a voltage. To the law that is
@@ -27,11 +27,11 @@
  * resolution of the encoder leaves the factor near 1, and so does less than 0.05 s of motion: the
  * load on a soft gear follows its torques late.
  *
- * Every stage is limited (speed, current, supply voltage), and the integral follows the current
- * that the limits have left over (automatic reset), so that it cannot wind up.
+ * Every stage is limited (speed, current, supply voltage). The integral follows the current that
+ * the limits have left over (automatic reset), so that it cannot wind up.
  *
- * "Within the count": as drives that are commanded in counts do, the servo asks for no correction
- * where the target lies in the very count that the encoder shows. An encoder cannot report
+ * "Within the count": the servo asks for no correction where the target lies in the count that the
+ * encoder shows. Drives that are commanded in counts do the same. An encoder cannot report
  * positions within a count apart, and integral action on a difference that cannot be measured would
  * hunt indefinitely. So the servo guarantees, at rest, a measured angle within half a count of the
  * target, and no more.
@@ -167,7 +167,7 @@ enum servo_silence {
  * - No target has come yet: hold. A drive that was switched on waits where it stands, indefinitely.
  * - Silence longer than `hold_after`: hold, until both come again.
  * - Silence longer than `cut_after`: cut, until a reset. Power that was cut does not come back by
- *   itself: whoever restarts a silent controller may have a hand in the machine, and the arm has
+ *   itself. A person who restarts a silent controller may have a hand in the machine. The arm has
  *   meanwhile sunk to where the last target no longer fits.
  * - A clock that jumps back (an emulator that was reset) starts the silence anew.
  */
@@ -214,8 +214,8 @@ void servo_reset(servo* arm);
  * an entry per joint; times are ns of any clock that all calls share. Numbers must be finite. */
 
 /* `applied` is what the motors got in the period that ends now; null: what was asked for. `closed`:
- * which brakes are closed; null: all are open. A joint with a closed brake is held where it stands,
- * with the torque of its target, so that no difference to a target adds up that would be released
+ * which brakes are closed; null: all are open. A joint with a closed brake is held at its position,
+ * with the torque of its target. No difference to a target therefore adds up that would be released
  * with the brake. */
 void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_real* current,
                    const servo_real* applied, const int64_t* closed);
@@ -227,11 +227,10 @@ void servo_report(const servo* arm, int32_t powered, servo_real* q, servo_real* 
 /* Link angles [rad], speeds with which they go on [rad/s], and torques of the links that are known
  * beforehand [N m]; speeds and torques may be null: 0.
  *
- * A target goes on with its speed until the next one comes, for a motion period T at most, so that
- * the angles asked for are no stairs: q + v T is where they are when it ends. Speeds and torques
- * are the means over the period. Where targets come every period, the differences of their speeds
- * give acceleration a and jerk j when it begins, and with them the way in between, s = t -
- * t_target:
+ * A target continues with its speed until the next one comes, for a motion period T at most, so
+ * that the reference has no steps: it ends at q + v T. Speeds and torques are the means over the
+ * period. Where targets come every period, the differences of their speeds give acceleration a and
+ * jerk j at its begin. They define the way in between, s = t - t_target:
  *
  *   q + v0 s + a s^2 / 2 + j s^3 / 6,   v0 = v - a T / 2 - j T^2 / 6
  *

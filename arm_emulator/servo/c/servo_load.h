@@ -8,8 +8,8 @@
  *
  *   expected load = tau + excess (tau - tau_base)
  *
- * What lasts becomes the integral's, too: the base follows slowly, and the integral takes in the
- * same period what the expected load loses by that, so that their sum does not change. */
+ * A lasting load moves to the integral, too. The base follows slowly, and the expected load falls
+ * with it. In the same period the integral rises by as much, so that their sum does not change. */
 
 /* Slower changes of loads are the integral's [s]; and shares of it per second. */
 static const servo_scalar SLOW = (servo_scalar)1.5, PER_SLOW = 1 / (servo_scalar)1.5;

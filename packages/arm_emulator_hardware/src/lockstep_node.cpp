@@ -2,8 +2,8 @@
 //
 // Parameters beside the manager's: real_time_factor, at which the machine's time goes at most; 0:
 // as fast as the controllers compute. start: running, or paused, in which time stands until the
-// service ~/pause is called with false. What controllers got before that call, they have in the
-// cycle from which time goes on, so it acts at the same time on every run.
+// service ~/pause is called with false. Controllers have their input from before that call in the
+// first cycle after it, so the input acts at the same time on every run.
 
 #include <atomic>
 #include <chrono>

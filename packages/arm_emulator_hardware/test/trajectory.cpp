@@ -2,8 +2,9 @@
 //
 //   trajectory DESCRIPTION CONTROLLERS SECONDS ROWS JOINT=TARGET...
 //
-// prints a digest of the joints' states in every cycle, then for each joint its true position at
-// the end, the measured one, and the true one at the start. The file ROWS gets a line for each
+// prints a digest of the joints' states in every cycle. Then it prints for each joint its true
+// position at the end, the measured one, and the true one at the start. The file ROWS gets a line
+// for each
 // cycle with `position velocity effort true_position` of each joint; `-`: no file.
 
 #include <cstdio>

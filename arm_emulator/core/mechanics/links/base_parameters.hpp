@@ -1,6 +1,6 @@
 // The links' inertia in base parameters (Khalil and Dombre, Modeling, Identification and Control of
-// Robots, ch. 9): what of a body is symmetric about its own joint axis moves to the parent, since
-// the joint's motion does not depend on which of the two it is.
+// Robots, ch. 9): the part of a body that is symmetric about its own joint axis moves to the
+// parent. The joint's motion does not depend on which of the two carries it.
 //
 // For a revolute joint that is the mass, the first moment along z, and a tensor diag(a, a, 0); with
 // a = Iyy every link is left with m = 0, h_z = 0, Iyy = 0, and the compiler folds what they would

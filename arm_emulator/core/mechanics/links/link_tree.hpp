@@ -210,8 +210,8 @@ struct LinkTree {
     return revolute(i) ? wrench[i].n.z : wrench[i].f.z;
   }
 
-  // Mass matrix: the inertia of all that joint j carries, moved with unit acceleration of joint j,
-  // seen by every joint i on the way to the base. The wrenches of all those j go down side by side.
+  // Mass matrix: the bodies that joint j carries move with unit acceleration of joint j. Every
+  // joint i on the way to the base bears their wrench. The wrenches of all j go down side by side.
   struct Carried {
     using Lanes = X[kPadded<N>];
     alignas(64) Lanes fx = {}, fy = {}, fz = {}, nx = {}, ny = {}, nz = {};

@@ -6,7 +6,7 @@
 //   V*d = Pd (ud - id) + xd - F p wm Lq iq            dxd/dt = I (ud - id)
 //
 // The inverter reaches the amplitude U. V*d has priority up to 0.95 U, as drives limit it to keep
-// some voltage across the flux, and V*q the rest of the circle; beyond, each x is drawn to where
+// some voltage across the flux. V*q has the rest of the circle; beyond, each x is drawn to where
 // V* = V, as in current_loop.hpp. Rates are continuous at the circle, and their slope is bounded:
 // that of the rest is 3 at 0.95 U and infinite at U. So stages evaluate it (a part without modes),
 // and order 2 holds.

@@ -39,7 +39,7 @@ struct HeatedMotor : Motor {
   static constexpr int rise = Motor::states, states = rise + 1;  // Theta [K]
 
   // Steps of any length stay stable as long as the resistance is less than 1.17 times that of the
-  // matrix, however far below it is (a W-method's stability where currents are fast).
+  // matrix. It may be far below. (This is the stability of a W-method with fast currents.)
   static constexpr double kOfMatrix = 150.0;  // degC
   constexpr auto linear() const {
     if constexpr (whole) {

@@ -45,8 +45,8 @@ int robustness_feed(robustness* one, const double* const* rows, int64_t samples)
  * memory or samples. */
 double robustness_end(robustness* one);
 
-/* Bytes of `one` without what it keeps of a trace, and of a copy for traces of up to `longest`
- * samples, which has been fed so many. */
+/* Bytes of `one` without its memory of a trace (`head`). Bytes of a copy for traces of up to
+ * `longest` samples, which has been fed so many (`whole`). */
 void robustness_measure(robustness* one, int64_t longest, int64_t* head, int64_t* whole);
 /* Return a copy at the start of a trace in this room, never to be deleted: `one` may be its first
  * bytes alone, wherever they came from. Feeding it more samples is refused. It must be fed blocks

@@ -29,8 +29,8 @@ constexpr float real(std::int64_t word) {
   return std::bit_cast<float>(static_cast<std::uint32_t>(word));
 }
 
-// Where the value of a joint is: its place in a row of so many joints, the row of an output in an
-// array of rows or an inertial measurement unit, and the axis of that.
+// Place of a joint's value: its place `joint` in a row of `joints`, and `row`, that of an output in
+// an array of rows or an inertial measurement unit. `axis` is an axis of that unit.
 struct Place {
   int joints = 0, joint = 0, row = 0, axis = 0;
   int in_rows() const { return row * joints + joint; }

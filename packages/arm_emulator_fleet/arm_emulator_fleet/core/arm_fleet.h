@@ -110,8 +110,8 @@ int arm_fleet_step(arm_fleet* fleet, int32_t first, int32_t arms, const arm_comm
                    int64_t periods, arm_fleet_measurement* measurement, arm_fleet_truth* truth);
 
 /* Control code in the loop with arms. `step` is called once in every servo period of a group of
- * arms, with what all arrays of the fleet have in their rows of `joint` and `powered`, and writes
- * the commands of these arms, which hold what was written there last. Calls for different arms may
+ * arms, with the rows `joint` and `powered` of all arrays of the fleet. It writes the commands of
+ * these arms, which hold their last values until then. Calls for different arms may
  * come from several threads at a time; it must keep its data per arm. */
 typedef void (*arm_fleet_step_of_control)(void* with, int32_t first, int32_t arms,
                                           const arm_joint_measurement* joint,

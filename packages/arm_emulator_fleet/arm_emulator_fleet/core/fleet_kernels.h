@@ -104,7 +104,7 @@ typedef struct fleet_get_refusal_call {
 } fleet_get_refusal_call;
 
 /* Time goes on: steps under `periods` rows of commands, servo periods under held commands, or servo
- * periods under control code, for which `joint` and `powered` of the measurement must be there.
+ * periods under control code. Control code needs `joint` and `powered` of the measurement.
  *
  * Without a queue `fleet_advance` does it all. With one, two kernels take each period: in
  * `fleet_advance_to_event` every group goes on up to its first event, and queues if something is

@@ -1,8 +1,9 @@
 // Machines in lanes whose smooth steps are taken together, and the others each by its machine.
 //
-// A step is smooth for a machine whose drives are in their regular modes at its start and at its
-// end, whose brakes are open and, where events are located, whose links slide or rest all along.
-// Such a step equals the one of a single machine. Most steps are smooth. A machine that meets a
+// A step is smooth for a machine whose drives are in their regular modes at its start and end, and
+// whose brakes are open. Where events are located, its links must also slide or rest all
+// along. Such a step equals the one of a single machine. Most steps are smooth. A machine that
+// meets a
 // current limit, a stop, a brake or a located event takes that step alone and continues in its
 // lane.
 #pragma once

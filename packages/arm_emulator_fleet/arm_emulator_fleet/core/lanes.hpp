@@ -37,8 +37,9 @@ class MachineLanes {
   MachineLanes(const MachineLanes&) = delete;
 
   // Take `steps` steps for each of `rows` rows of commands. A row is of many machines, `stride`
-  // numbers long; those of the machines here begin at `command`, one after the other, or side by
-  // side for each joint, if its commands are `width` numbers apart. The positions after each row go
+  // numbers long. The commands of the machines here begin at `command`, one machine after the
+  // other. If a joint's commands are `width` numbers apart, they are side by side for each joint.
+  // The positions after each row go
   // to `q`, one machine after the other, if it is not null; a machine at fault keeps its state. The
   // state is in the lanes until `move_to_machine`. `taken`: steps of the first row, by
   // `follow_to_event`.

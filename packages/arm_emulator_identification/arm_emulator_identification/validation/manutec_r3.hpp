@@ -8,9 +8,9 @@
 //                       dx/dt = u / Ts                i_ref = ks (x + u)
 //   current             dC/dt = 25 w / D (i - i_ref)  V = -5 C
 //
-// They are continuous there. Here they are sampled: x and C follow by the trapezoidal rule when the
-// next sample is there, and the voltage of a period is that of its middle, so that what sampling
-// costs is of second order in the period.
+// They are continuous there. Here they are sampled. x and C follow by the trapezoidal rule at the
+// next sample, and the voltage of a period is that of its middle. The error of sampling is
+// therefore of second order in the period.
 #include <cstdint>
 
 #include "manutec_r3.h"

@@ -1,7 +1,7 @@
 // The server of service data objects: a client reads and writes a drive's object dictionary
 // (CiA 301, 7.2.4; ETG.1000.6, 5.6.2). One server for both buses. They differ in what carries a
-// request: frames of 8 bytes on CAN, where there are block transfers, or messages of a mailbox on
-// EtherCAT, whose first message has room for data and which reaches all of an object at once.
+// request. CAN has frames of 8 bytes, and block transfers. EtherCAT has messages of a mailbox: the
+// first message has room for data, and a request may reach all of an object at once.
 #pragma once
 
 #include <variant>

@@ -71,8 +71,8 @@ class Datagrams {
   std::uint8_t* at_;
 };
 
-// Whether every datagram lies within the frame. Nothing of a frame is carried out before, since
-// slaves take over what was written only if the frame's check sequence is right at its end.
+// Whether every datagram lies within the frame. No part of a frame is executed before this check.
+// Slaves apply written data only if the frame's check sequence is right at its end.
 inline FrameCheck check(std::span<std::uint8_t> frame) {
   if (frame.size() < kEthernetHeader) return FrameCheck::malformed;
   if (frame[12] != 0x88 || frame[13] != 0xa4) return FrameCheck::foreign;

@@ -1,5 +1,5 @@
-// Process data: the entries in the mapping (0x1600.., 0x1A00..) of the assigned objects (0x1C12,
-// 0x1C13) go between a buffer and the drive in each servo period.
+// Process data: in each servo period the entries of the mapping are copied between a buffer and the
+// drive. The mapping (0x1600.., 0x1A00..) is that of the assigned objects (0x1C12, 0x1C13).
 #pragma once
 
 #include <array>
