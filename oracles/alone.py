@@ -7,7 +7,7 @@ always one that is dry.) Every other command is 0; gears are rigid, elastic or h
 - with events located the motion is that of oracles/smoothed_reference.py, which decides no modes;
   differences between runs fall with the square of the step;
 - with events at the ends of steps, in all schemes, the error falls as the step;
-- what is left of energy given - stored - dissipated falls alike;
+- the residual of energy, given - stored - dissipated, falls alike;
 - four machines side by side move as each of them alone (every fourth mixture);
 - none diverges.
 """
@@ -174,7 +174,7 @@ class AloneVerdict:
 
     @property
     def is_balanced(self) -> bool:
-        """Whether what is left of energy falls as the step there."""
+        """Whether the residual of energy falls as the step there."""
         return self.left[1] < max(self.left[0] / FALLS, mixtures.BALANCED)
 
     @property

@@ -40,7 +40,7 @@ class MachineWithModes(ReferenceMachine):
         self.side = np.zeros(self.N)
 
     def compute_currents(self, x: Array, V: Array) -> tuple[Array, Array]:
-        """Return the currents in these modes, and what is left of the voltage to raise them."""
+        """Return the currents in these modes, and the voltage that remains to raise them."""
         i, _, wm, _, v, integral = x
         wm = np.where(self.rigid, v / self.Ng, wm)
         V, _ = self.compute_applied(i, wm, integral, V)

@@ -5,7 +5,7 @@ Each machine is a random chain of two links whose joints have parts drawn from a
 are braked on the way. Claims, with rosenbrock and events located:
 
 - halving the step twice shows order 2 in the positions, or `Diverged` is raised;
-- what is left of energy given - stored - dissipated falls with that order;
+- the residual of energy, given - stored - dissipated, falls with that order;
 - four machines side by side go as each of them alone, to the last bit (every third mixture).
 
 There is no truth that knows all parts at once: the order is that of the differences between runs
@@ -251,7 +251,7 @@ def push_link(plant: Plant, seed: int) -> None:
 
 
 def run_rows(scene: Scene, seed: int, rows: np.ndarray, steps: int) -> tuple[np.ndarray, float]:
-    """Return positions after each row, and what is left of the energy, of what was exchanged.
+    """Return positions after each row, and the residual of the energy as a share of the exchanged.
 
     Positions are those of all joints of the machine: deflections of bearings are among them.
     """
@@ -303,7 +303,7 @@ def find_converged(
     Args:
         seed: of the mixture.
         parts: their names.
-        run_in: positions after each row, and what is left of the energy, by steps in a period.
+        run_in: positions after each row, and the residual of the energy, by steps in a period.
     """
     steps, runs = STEPS[-1], [run_in(steps) for steps in STEPS]
     verdict = _judge_runs(seed, parts, runs, STEPS)

@@ -5,8 +5,8 @@ has a mixture of motors with and without inductance and limits, of rigid, elasti
 gears, and of dry friction. Claims, for rosenbrock and extrapolated with events located:
 
 - the error at a tenth of the step follows the scheme's order, or `Diverged` is raised;
-- what is left of energy given - stored - dissipated falls with the scheme's order, and at steps of
-  1 us is below 1e-9 of what was exchanged, times (r / 1000)^2 for machines of a faster rate r.
+- the residual of energy, given - stored - dissipated, falls with the scheme's order. At steps of 1
+  us it is below 1e-9 of the exchanged energy, times (r / 1000)^2 for machines of a faster rate r.
 
 The truth is oracles/event_reference.py's.
 """
@@ -66,7 +66,7 @@ class MachineVerdict:
 
     @property
     def is_balance_in_order(self) -> bool:
-        """Whether what is left of energy is that of the scheme's order."""
+        """Whether the residual of energy is that of the scheme's order."""
         falls = FALLS[KNOWN[self.scheme].order]
         return self.note != "" or self.left[1] < max(ROUNDED, self.left[0] / falls)
 

@@ -84,7 +84,7 @@ def command(
 ) -> tuple[int, str, str]:
     """Run a command of ours in this process (a library of a user's in a child of it).
 
-    Return its exit code and what was printed, but for what is compiled once.
+    Return its exit code and its prints, without those of first compilations.
     """
     Plant(SCENE), servo_law(), load_library(make_servo_step_unit())
     capfd.readouterr()

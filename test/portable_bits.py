@@ -235,7 +235,7 @@ def digests(target: str, level: str, count: int = 3) -> Iterator[tuple[str, str]
         count: of scenes, 1 without a fleet; with FULL=1 there are all.
 
     Raises:
-        AssertionError: an arm of a fleet has other bits than an arm by itself.
+        AssertionError: an arm of a fleet has other bits than a single arm.
     """
     of_machines.FLAGS = tuple(level if flag == "-O3" else flag for flag in of_machines.FLAGS)
     with tempfile.TemporaryDirectory() as folder:

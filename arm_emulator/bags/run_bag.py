@@ -35,7 +35,8 @@ KINDS: dict[type[Change], int] = {  # of events
 
 
 class RunBag:
-    """A bag of a session, which whoever advances it writes tick by tick; `check-bag` repeats it.
+    """A bag of a session, written tick by tick by the code that advances it; `check-bag` repeats
+    it.
 
     It begins with the session's present tick, which must be 0.
 

@@ -38,7 +38,7 @@ MOTOR_SPEED = 314.0  # rad/s at the joint's full speed: 3000 rpm, rated speed of
 BACK_EMF_PART = 0.6  # of the supply at full speed
 RESISTANCE_PART = 0.25  # of the supply at peak torque; 0.15 are left for control
 # Windings of servo motors above some watts have less, in catalogues for 24 to 560 V: a motor whose
-# torque asks for more is larger than needed, and its current limit keeps the torque.
+# torque needs more is larger than necessary, and its current limit keeps the torque.
 MAX_RESISTANCE = 100.0  # ohm
 ELECTRICAL_TIME = 1e-3  # s, L/R of frameless and small servo motors
 CURRENT_BANDWIDTH = 1000.0  # Hz, of drives that sample at 16 kHz

@@ -132,9 +132,9 @@ def hold_falling_link(joint: JointServo, fall: float, alone: float) -> JointServ
     """Return a joint's servo whose loop holds a link that falls [N m/rad]; itself if it does.
 
     The loop's stiffness, velocity_gain * position_gain, has to exceed `fall`. Where it does not, it
-    is that of the joint alone beside the fall, so that the link is placed as without one. What is
-    left of the stiffness places the integral as the whole of it does elsewhere: 5 / position_gain
-    without a fall.
+    is that of the joint alone beside the fall, so that the link is placed as without one. The
+    remaining stiffness places the integral, as the whole stiffness does elsewhere: 5 /
+    position_gain without a fall.
 
     Args:
         joint: its servo.

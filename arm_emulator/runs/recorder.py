@@ -1,4 +1,4 @@
-"""A run of a machine kept in a file, or shown, while it goes on, whatever lets its time pass.
+"""A run of a machine kept in a file, or shown, during the run, with any clock.
 
 The rows go through shared memory to a process of its own. So a run that is killed, or a library
 that crashes, leaves a whole file, and files cost the run no time of Python.
@@ -86,6 +86,7 @@ def get_viewer_command(source: str | Path) -> str:
     """
     viewer = Path(sys.executable).parent / "rerun"
     by_path = shutil.which("rerun") or not viewer.exists()
-    # Without it, rerun takes whoever listens at its own port, 9876, for a viewer, and opens none.
+    # Without it, rerun takes any process that listens at its own port, 9876, for a viewer, and
+    # opens none.
     connect = ["--connect"] if "://" in str(source) else []
     return shlex.join(["rerun" if by_path else os.path.relpath(viewer), *connect, str(source)])

@@ -127,7 +127,7 @@ class Timeline(NonCopyable, Generic[R]):
             Refusal: a tick before the first checkpoint, or after the newest one.
         """
         check_count("Timeline.go_to", "tick", tick, self.first, self.newest)
-        # A run that was advanced by itself is at the tick of no timeline.
+        # A run that was advanced separately is at the tick of no timeline.
         here = self._place.visitor is self and self.run.tick == self.tick
         if here and self.tick == tick:
             return

@@ -34,7 +34,7 @@ class ServoArm:
 
     A target that has a speed goes on with it until the next one comes, for one motion period at
     most: q + v (t - t_target). So the angles asked for are a line from target to target and no
-    stairs. Without a motion period nobody knows when the next one comes, and the angles stand.
+    stairs. Without a motion period the time of the next target is unknown, and the angles stand.
     """
 
     def __init__(self, config: ServoConfig) -> None:

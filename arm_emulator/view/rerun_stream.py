@@ -276,7 +276,7 @@ class RerunStream:
         for turn in itertools.count():
             stopping = self._stop.wait(BATCH_PERIOD)
             self._send_samples(recording, signals=stopping or turn % SIGNAL_BATCHES == 0)
-            # A flush per batch puts the data into the file, whatever becomes of this process. While
+            # A flush per batch puts the data into the file, even if this process is killed. While
             # the file does not take it nothing more is sent: the queue is what bounds the memory.
             while not self._flush_recording(recording):
                 if self._broken:

@@ -144,7 +144,7 @@ class Door:
         return "the command before stands"
 
     def stale(self) -> str:
-        """Return what comes of an answer to an earlier tick."""
+        """Return the result of an answer to an earlier tick."""
         for _ in range(FEW):
             self.give(VOLT)
         words = self._refusal(lambda: self.give(2.0 * VOLT, tick=self.tick - 1))
@@ -163,11 +163,11 @@ class Door:
         return "the newest command holds"
 
     def name(self) -> str:
-        """Return what comes of a joint that does not exist."""
+        """Return the result of a joint that does not exist."""
         return self._refusal(lambda: self.give(VOLT, name="wrist"))
 
     def nan(self) -> str:
-        """Return what comes of a command that is no number."""
+        """Return the result of a command that is no number."""
         return self._refusal(lambda: self.give(math.nan))
 
     def cut(self) -> str:
@@ -233,7 +233,7 @@ FAULTS: dict[str, Callable[[Door], str]] = {
 
 
 def check(door: Door) -> None:
-    """Do each fault to a door, and compare what comes of it with what is kept."""
+    """Try each fault at a door, and compare the result with the stored one."""
     outcomes: dict[str, str] = {}
     for fault, does in FAULTS.items():
         if fault in door.lacks:

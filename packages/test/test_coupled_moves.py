@@ -1,6 +1,6 @@
 """Coupled arms all through: sent on moves, on field buses, as a unit, identified, drawn.
 
-Whatever the shafts do, it is the joints that have limits and carry the tool: both are looked at by
+For any motion of the shafts, the joints have the limits and carry the tool: both are looked at by
 q = C p and Pinocchio's model of the bare chain, which knows nothing of couplings.
 """
 

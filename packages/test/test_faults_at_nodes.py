@@ -179,7 +179,7 @@ class ByRosInRealTime(ByRos):
 
 @contextmanager
 def emulator(folder: Path, clock: str) -> Iterator[User]:
-    """Run an emulator node, and a client that hears every state."""
+    """Run an emulator node, and a client that receives every state."""
     faults = ", ".join(f"elbow.{line}" for line in LINES)
     scene = str(own_three_axis(folder / "scene", f"faults: [{faults}]"))
     how = {"clock": clock, "start": "first_answer", "only": ("emulator",)}

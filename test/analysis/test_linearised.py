@@ -119,7 +119,7 @@ def test_about_rest_every_entry_is_that_of_the_equations(scene: Scene) -> None:
         assert np.allclose(linear.x0[linear.q], q) and not linear.sticks.any()
         assert np.abs(linear.rate).max() < 1e-4 * np.abs(linear.A).max(), "the commands hold it"
         compare(machine, scene, linear)
-        # Held by these commands the machine itself stays: what is left is friction's.
+        # Held by these commands the machine itself stays: the residual is friction's.
         assert np.array_equal(plant.state.q, Plant(scene).state.q), "the plant has not moved"
 
 

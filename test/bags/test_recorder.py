@@ -1,4 +1,4 @@
-"""Runs without a network, recorded and shown: every tick, whatever lets time pass or ends it."""
+"""Runs without a network, recorded and shown: every tick, with any clock and any end."""
 
 import csv
 import inspect

@@ -1,4 +1,4 @@
-"""Recordings lose nothing in lock-step, whatever becomes of a recorder, and count in real time."""
+"""Recordings lose nothing in lock-step, even with a killed recorder, and count in real time."""
 
 import os
 import random
@@ -60,7 +60,8 @@ def recorder(
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
-        # A process that is stopped while it holds a lock in shared memory hears nothing any more.
+        # A process that is stopped while it holds a lock in shared memory receives nothing any
+        # more.
         env={**os.environ, "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"},
     )
     try:
@@ -158,7 +159,7 @@ def lockstep_bags(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path,
 
 @contextmanager
 def begun(*recorders: subprocess.Popen[str]) -> Iterator[None]:
-    """Go on when recorders are there; one that is still being loaded is nobody to wait for."""
+    """Go on when recorders are there, without a wait for one that is still being loaded."""
     for started in recorders:
         await_words(started, "recording ")
     yield

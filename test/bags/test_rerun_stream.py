@@ -284,7 +284,7 @@ assert "rerun" not in sys.modules
 
 @pytest.mark.slow
 def test_a_file_that_does_not_take_data_costs_samples_and_nothing_else(tmp_path):
-    """A pipe that nobody reads any more stands for a disk that hangs."""
+    """A pipe without a reader stands for a disk that hangs."""
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     code = f"""

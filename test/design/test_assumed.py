@@ -54,7 +54,7 @@ VARIED = sorted(
 def test_a_figure_that_does_not_state_where_it_is_from_is_refused(
     file: Path, tmp_path: Path
 ) -> None:
-    """Each of them in turn: without a mark, off its range, with a source that nobody names."""
+    """Each of them in turn: without a mark, off its range, with an unnamed source."""
     text, second = file.read_text(), tmp_path / file.name
     lines, rng = text.splitlines(), np.random.default_rng(1)
     of_figures = {

@@ -90,7 +90,7 @@ def verdict(path: Path) -> str:
 
 
 def names(rng: Rng) -> str:
-    """Return a name as robots have them, or one that nobody should give."""
+    """Return a usual name of robots, or a hostile one."""
     if rng.random() < 0.5:
         return str(rng.choice(np.array(NAMES, dtype=object)))
     letters = list("abcABC012_-. /\\:'\"{}[]*&#%\n\té関")

@@ -248,7 +248,7 @@ def test_published_habits_are_taken_alike_by_all_three(tmp_path: Path, seed: int
 def test_every_robot_of_example_robot_data_is_taken_or_refused_with_the_reason(
     tmp_path: Path,
 ) -> None:
-    """Trees are taken, whatever their limbs; what has none is refused for that."""
+    """Trees with any branches are accepted; what has none is refused for that."""
     folder = find_example_robot_data()
     assert folder is not None
     reasons = (
@@ -269,7 +269,7 @@ def test_every_robot_of_example_robot_data_is_taken_or_refused_with_the_reason(
         scene.write_text(scene.read_text().replace("robot.urdf", urdf))
         line = verdict(scene)
         if line:
-            # Of a tool that is no link the file that asks for it is named.
+            # For a tool that is no link, the refusal names the file with this tool.
             files = f"{file.name}: ", f"{scene.name}: tool must be a link"
             assert line.startswith(files) and any(r in line for r in reasons), line
         else:

@@ -22,7 +22,7 @@ NEEDS = dict.fromkeys(("board", "firmware"), ("elftools", "unicorn"))  # `make t
 def test_a_spoiled_file_is_taken_or_refused_in_a_line(
     kind: str, draws: range, tmp_path: Path
 ) -> None:
-    """A sound one is taken: what is refused is refused for what was done to it."""
+    """A sound one is taken: a refusal names the damage as its reason."""
     for module in NEEDS.get(kind, ()):
         pytest.importorskip(module, reason="see requirements-peers.txt")
     file_kind, number = KINDS[kind], list(KINDS).index(kind)

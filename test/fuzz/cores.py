@@ -2,7 +2,7 @@
 
 python -m fuzz.cores SEED FIRST STEP: machine FIRST, FIRST + STEP, ... of a seed, until it is ended.
 
-Whatever is asked of a machine, it answers, refuses or reports a divergence; what it refuses changes
+A machine answers any call, refuses it or reports a divergence; what it refuses changes
 nothing, and its state is always finite.
 """
 

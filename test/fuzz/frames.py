@@ -3,7 +3,7 @@
 python -m fuzz.frames SEED FIRST STEP: batch FIRST, FIRST + STEP, ... of a seed, until it is ended.
 
 Compiled with AddressSanitizer and UBSan. A frame that is not sound changes nothing but the counters
-of errors; whatever else comes, slaves are in a known state.
+of errors; after any frame slaves are in a known state.
 """
 
 import itertools

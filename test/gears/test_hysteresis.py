@@ -267,7 +267,7 @@ def test_weights_rest_on_wound_up_gears_as_loops_have_it(tmp_path: Path, seed: i
     for name, (*_, weight) in zip(joints, numbers, strict=True):
         plant.set_external_wrench(f"{name}_link", ExternalWrench([-weight, 0.0, 0.0]))
     linear = linearise(plant, [0.3, -0.2, 0.1])
-    # Newton ends where what is left is rounding of the largest term, 1e4 N m/rad times 50 rad.
+    # Newton ends where the residual is rounding of the largest term, 1e4 N m/rad times 50 rad.
     assert np.abs(linear.rate[linear.v]).max() < 1e-8 * max(row[-1] for row in numbers) / mass
     for j, (elements, F, twist, K, weight) in enumerate(numbers):
         limits = (2 * np.arange(elements) + 1) * twist / (2 * elements)

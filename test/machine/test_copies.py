@@ -153,7 +153,7 @@ def test_a_forked_child_continues_independently(threads: int, tmp_path: Path) ->
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*:DeprecationWarning")
 def test_a_fork_waits_for_calls_of_further_threads(scene: Scene) -> None:
-    """The child never finds a machine in the middle of a call, nor a turn that nobody ends."""
+    """The child never finds a machine in the middle of a call, nor a turn that no thread ends."""
     plant = Plant(scene)
     with ThreadPoolExecutor(1) as pool:
         long = pool.submit(plant.advance, ROW, 300_000)

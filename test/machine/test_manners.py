@@ -1,4 +1,4 @@
-"""Machines as objects of Python: copies, forks, threads, and whatever a caller may hand over."""
+"""Machines as objects of Python: copies, forks, threads, and all kinds of arguments."""
 
 import copy
 import random

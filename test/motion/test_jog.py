@@ -332,7 +332,8 @@ def test_the_node_takes_twists_and_publishes_their_limits() -> None:
         GoalState.MOVING,
         GoalState.REACHED,
     ]
-    # Upwards from its start three_axis comes nearer to its stretched pose; in the end nobody jogs.
+    # Upwards from its start three_axis comes nearer to its stretched pose; in the end no jog
+    # arrives.
     assert codes[0] == JogStatus.DECELERATE_FOR_APPROACHING_SINGULARITY and codes[-1] == 0
 
 

@@ -1,4 +1,4 @@
-"""Method way: limits hold whatever is asked, and the hard places of kinematics are passed."""
+"""Method way: limits hold for any target, and ways pass the singular places of kinematics."""
 
 import math
 from collections.abc import Callable

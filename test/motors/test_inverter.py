@@ -43,7 +43,7 @@ def test_a_locked_rotor_has_the_current_of_the_remaining_voltage(file: Path, sig
     plant = Plant(load_scene(file))
     plant.advance(sign * COMMAND, 10_000)  # 0.2 s, 40 time constants and more
     expected = [current_at(9.0, DC["resistance"]), current_at(7.0, PMSM["resistance"]), 3.0]
-    # The loop regulates the current whatever its inverter loses.
+    # The loop regulates the current with any loss of its inverter.
     assert plant.state.current == pytest.approx(sign * np.array(expected), rel=1e-9)
     i = np.abs(plant.state.current)
     lost = U * i**2 / np.hypot(i, KNEE) * [1.0, 1.5, 1.0]

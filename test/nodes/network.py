@@ -242,9 +242,10 @@ class User:
         assert wait_until_met(self.node, node, PATIENCE), f"{node} does not answer"
 
     def await_start(self) -> None:
-        """Wait until a paused network has met, and this user hears the machine's states.
+        """Wait until a paused network has connected, and this user receives the machine's states.
 
-        Whoever the emulator has not found yet when it states tick 0 misses it, and what follows.
+        A client that the emulator has not found when it publishes tick 0 misses this tick and those
+        after it.
         """
         self.wait(
             "the nodes to meet",

@@ -101,7 +101,7 @@ def test_demo(scene: str, tmp_path: Path) -> None:
     plan = DemoPlan.load_plan(find_scene(scene), run.session.period_ns * run.motion_ticks)
     assert plan.motion is not None and np.linalg.norm(plan.motion) > 0.2  # m
     end = forward(np.array([values[max(values)] for values in signals]))[1]
-    # 1 mm: what is left by encoders and by gears under the weight is below (docs/validation).
+    # 1 mm: the residual of encoders and of gears under the weight is below (docs/validation).
     assert np.linalg.norm(end - forward(machine.start)[1] - plan.motion) < 1e-3
 
 

@@ -270,7 +270,7 @@ def test_services_in_lock_step(lockstep: SharedNetwork) -> None:
         user.wait("the status", lambda: user.status.powered)
         powerless = load_offline_run("three_axis")
         offline = offline_states(powerless, off_at)
-        # Power is off from this tick on; the servo has answered it already and hears of it in the
+        # Power is off from this tick on; the servo has answered it already and receives it in the
         # next state. Likewise when it comes back.
         powerless.session.powered = False
         offline |= offline_states(powerless, on_at + 1)

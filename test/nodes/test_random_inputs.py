@@ -37,7 +37,7 @@ WORDS = (
     *JOINTS, "world", "tool", "base", "abs(v.elbow) > 1", "q.waist > 0.1", "clock", "period",
     "max_speed", "joints.waist.kp", "use_sim_time", "real_time_factor", "nobody", "",
 )  # fmt: skip
-# A shutdown for good ends the work of a node, which a client may ask for.
+# A client may request a final shutdown, which ends the work of a node.
 PERSISTENT = ("change_state",)
 PUSHES = ("external_wrench", "external_wrench_in_world")  # move the arm by force
 OUTSTANDING = 20  # calls

@@ -1,4 +1,4 @@
-"""A ROS domain of one's own: nobody is in it, and nobody comes into it."""
+"""A ROS domain of one's own: no process is in it, and none joins it."""
 
 import os
 import random

@@ -24,7 +24,7 @@ def up(
 ) -> Iterator[tuple[subprocess.Popen[str], list[psutil.Process]]]:
     """Start `arm_emulator up` and wait until its three nodes run the machine.
 
-    Nobody listens any more when they end: Fast DDS may fail in a process that removes its
+    No reader is left when they end: Fast DDS may fail in a process that removes its
     participant just as others leave, and that process would be this one.
     """
     with own_domain() as domain:

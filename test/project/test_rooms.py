@@ -49,7 +49,7 @@ def test_every_package_is_registered_with_import_linter_mypy_and_the_check_of_wo
 
 
 def test_no_list_of_packages_is_incomplete() -> None:
-    """Code that mypy does not find, circles that nobody looks for."""
+    """Code that mypy does not find, circles that no contract checks."""
     linter, mypy = PROJECT["importlinter"], PROJECT["mypy"]
     (circles,) = (
         contract for contract in linter["contracts"] if contract["type"] == "acyclic_siblings"

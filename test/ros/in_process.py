@@ -258,7 +258,7 @@ class InProcess:
         ]
 
     def listen_alone(self, topic: str, kind: type, callback: Callable[[Any], None]) -> None:
-        """Hand what is reported on a topic to nobody else."""
+        """Deliver messages on a topic to this callback only."""
         self._wires.listeners[topic] = [_as_message(kind, callback)]
 
     def forget(self) -> None:

@@ -82,7 +82,7 @@ def huge(rng: random.Random) -> float:
 
 
 def _wrong(rng: random.Random) -> float:
-    """Return a number that nobody may take; mostly a finite one."""
+    """Return a number that every receiver must refuse; mostly a finite one."""
     return rng.choice((huge(rng), huge(rng), huge(rng), math.nan, math.inf, -math.inf))
 
 
@@ -249,7 +249,7 @@ Change = Callable[[random.Random, Any, Sequence[str], int], None]
 
 
 def _wrong_in(field: str, wrong: Callable[[random.Random], Any] = _wrong) -> Change:
-    """Put a number that nobody may take at a random place of an array."""
+    """Put a number that every receiver must refuse at a random place of an array."""
 
     def spoil(rng: random.Random, message: Any, names: Sequence[str], tick: int) -> None:
         values = list(getattr(message, field)) or [0] * len(names)

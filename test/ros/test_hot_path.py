@@ -1,4 +1,4 @@
-"""Messages taken in C: the same are published as by Python, whatever comes."""
+"""Messages taken in C: the same are published as by Python, for any message."""
 
 import random
 import subprocess

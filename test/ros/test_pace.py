@@ -103,7 +103,7 @@ def test_real_time_has_the_pace_of_the_wall_clock() -> None:
 
 
 def test_a_pace_at_which_a_tick_would_not_end_is_refused() -> None:
-    """A timer cannot wait for 2^63 ns, and nobody for days."""
+    """A timer cannot wait for 2^63 ns, and no user for days."""
     check_pace(EmulatorParameters(real_time_factor=1e-6))
     for factor in (9e-7, 1e-15, 5e-324):
         with pytest.raises(Refusal, match="real_time_factor must be 0, or at least 1e-06"):

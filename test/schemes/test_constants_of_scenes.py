@@ -1,4 +1,4 @@
-"""Constants of scenes and servos have the same bits, whatever BLAS does on this processor."""
+"""Constants of scenes and servos have the same bits with any BLAS."""
 
 import os
 import platform

@@ -197,7 +197,7 @@ class Weighed:
 
 @pytest.mark.parametrize("seed", with_slow(range(12), 4))
 def test_wind_up_under_weight_is_that_of_the_load_at_rest(seed: int) -> None:
-    """Links, gear and friction wrong by 30 %, alone and mixed: what is left is the gear's."""
+    """Links, gear and friction wrong by 30 %, alone and mixed: the residual is the gear's."""
     rng = np.random.default_rng(seed)
     heavier, softer, of_dry = rng.choice([0.7, 1.0, 1.3], 3)
     dry, q = rng.choice([0.0, 1.0]), rng.uniform(-1.0, 1.0)
@@ -209,7 +209,7 @@ def test_wind_up_under_weight_is_that_of_the_load_at_rest(seed: int) -> None:
     wind_ups = np.array([wind_up for wind_up, _ in rest])
     steps = np.abs(np.diff(wind_ups))
     assert steps.max() <= 0.04 * abs(wind_ups[-1] - wind_ups[0]), "in 0.3 s, a period has 10 ms"
-    # Friction may hold either way, known as 1.5 times what is assumed; 10 urad nobody sees. A
+    # Friction may hold either way, known as 1.5 times what is assumed; 10 urad are not visible. A
     # weight of that size is no evidence: what it leaves is of second order. exp(-4 / 0.3) is left.
     unsure = 1.5 * of_dry * dry + 1e-5 * arm.assumed
     surplus = (1.0 - heavier) * weight - arm.load_at_rest
@@ -223,7 +223,7 @@ def test_wind_up_under_weight_is_that_of_the_load_at_rest(seed: int) -> None:
 
 
 def test_the_load_at_rest_multiplies_torques_in_motion_without_a_jump() -> None:
-    """Announced torques go on from the rest's by the observed factor; brakes end what was held."""
+    """Announced torques go on from the rest's by the observed factor; brakes end the held part."""
     arm, q = Weighed(1.3, 1.0), 0.5
     at_rest = [arm.period(q) for _ in range(400)][-1][1]
     assert at_rest == pytest.approx(1.3 * arm.weight(0.5), rel=1e-12)

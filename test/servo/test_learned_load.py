@@ -180,7 +180,7 @@ def test_a_factor_that_fades_at_rest_moves_nothing() -> None:
 
 @pytest.mark.parametrize("stuck", [-8.0, -4.0, 4.0, 8.0])
 def test_friction_of_a_joint_at_rest_is_no_reason_for_a_factor(stuck: float) -> None:
-    """The load of the rest, of which nobody knew, is gone when the joint moves; the announced
+    """The unknown load at rest disappears when the joint moves; the announced
     torques are right. The factor is off for less than 0.4 s; against a slow mean of the past, which
     remembers the rest, it was for 0.56 to 0.97 s.
     """

@@ -35,7 +35,8 @@ def test_targets_go_on_with_their_speed_for_no_longer_than_a_motion_period(seed:
 
 
 def test_targets_that_go_on_stay_within_the_limits_of_a_joint() -> None:
-    """At the bound of positions, outwards: no refusal within the loop, which nobody would catch."""
+    """At the bound of positions, outwards: no refusal within the loop, which no caller would
+    catch."""
     largest = POSITION.most
     drives = ServoArm(ServoConfig(PERIOD, 0.05, 0.2, 2.0, 48.0, (JOINT,)))
     drives.take_measurement(0, [0], [0.0])

@@ -187,7 +187,8 @@ def test_the_core_compiles_without_a_warning(
     source.write_text(write_scene_unit(scene))
     flags = [flag for flag in FLAGS if flag not in ("-O3", *SHARED)]  # -O1 for the time it takes
     warnings = ["-O1", "-c", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{CORE}"]
-    # Since when GCC passes vectors as it does concerns nobody who compiles the whole core at once.
+    # The version since which GCC passes vectors in this way does not matter if the whole core is
+    # compiled at once.
     warnings.append("-Wno-psabi")
     command = [*find_compiler(), *flags, *warnings, str(source), "-o", str(tmp_path / "unit.o")]
     built = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -56,7 +56,7 @@ class Shafts:
         robot = parse_urdf(urdf_xml, WHERE)
         couplings = list_followers(robot, WHERE)
         path = couplings if tool is None else _find_path_to(tool, robot)
-        # A command to a joint that only follows would have it move by itself.
+        # A command to a joint that only follows would move it separately.
         for name in {*names} - {*list_own_shafts(tuple(names), couplings)}:
             del couplings[name]
         along = [

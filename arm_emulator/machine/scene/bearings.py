@@ -1,6 +1,6 @@
 """Bearings that give way, in the description of the machine: joints between a joint and its link.
 
-Nobody but the machine knows them: controllers have the description without.
+Only the machine knows them: controllers have the description without.
 """
 
 import copy

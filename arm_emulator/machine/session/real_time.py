@@ -33,7 +33,7 @@ class RealTimeLoop(Clock, Synchronized):
     """The real-time thread, which lets servo periods pass by itself. A forked child has none.
 
     Args:
-        plant: the machine. While the loop runs nobody else may touch it.
+        plant: the machine. While the loop runs no other code may use it.
         period_ns: wall time of a servo period [ns].
         core: processor core for the thread, -1 for any.
         readers: who takes its snapshots: 1, `take_tick` alone; 2, code in C beside it.

@@ -251,7 +251,7 @@ class Session(Synchronized):
 
     @synchronized
     def set_state(self, joint_names: Sequence[str], given: Mapping[str, Sequence[float]]) -> None:
-        """Set some quantities of some joints; whatever is not given stays as it is.
+        """Set some quantities of some joints; values that are not given do not change.
 
         Args:
             joint_names: joints of the scene, each at most once.

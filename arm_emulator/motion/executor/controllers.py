@@ -86,7 +86,7 @@ def make_joint_limits(kinematics: Kinematics, config: MotionConfig) -> JointLimi
 def make_jerk_limited_velocity(
     kinematics: Kinematics, config: MotionConfig, margin: float, share: float = 1.0
 ) -> JerkLimitedVelocity:
-    """Return joints that take up speeds, and come to rest, as in jogs and before collisions.
+    """Return joints that reach speeds, and come to rest, as in jogs and before collisions.
 
     They stop at a margin before their limits [rad or m], `_MAX_MARGIN` of their range at most, and
     use a share of the largest acceleration.

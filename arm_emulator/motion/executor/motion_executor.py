@@ -230,7 +230,7 @@ class MotionExecutor:
         _Q.check_values("motion_controller", q.tolist())
         controllers = self._get_controllers(controller)
         if movable is not None and not movable.all():
-            # The measured positions hold, whatever was commanded.
+            # The measured positions hold, under any command.
             controllers.feedforward.reset_estimate()
         controllers.feedforward.observe_torques(tau, movable)
         measured, links = q, controllers.feedforward.compute_link_angles(q)

@@ -6,8 +6,8 @@ links load their gears with. It follows slowly while the reference rests, and st
 motion, so that it never makes a target jump.
 
 Friction holds a part of the weight at rest, of either sign: what it leaves uncertain counts as
-predicted right, and a weight of that size is no evidence. When the joint sets out friction lets go
-of that part: it is taken off the announced torques then, as the servo has it in its integral.
+predicted right, and a weight of that size is no evidence. When the joint starts to move, friction
+releases that part: it is taken off the announced torques then, as the servo has it in its integral.
 
 A joint without evidence of its own, as one that turns about a vertical axis, moves what the next
 joints carry: it is taken to be as wrong as they are. A factor within 0.5 to 2 cannot wind up a gear

@@ -28,12 +28,12 @@ class CollisionGuard:
 
     In each period it tests the way on which the joints would come to rest if they braked after it.
     When parts touch there they brake now, on the way that the period before has tested. So they
-    rest before they touch, by the margin, whatever was asked for. Motions that are known to their
-    end are checked before they begin: where joints that brake each by itself would touch next to
-    such a way, the arm goes on, and could stop on it.
+    rest before they touch, at the distance of the margin, under any command. Motions that are known
+    to their end are checked before they begin: where joints that brake each by itself would touch
+    next to such a way, the arm goes on, and could stop on it.
 
-    The looks at a motion are so near that no part touches an obstacle between two of them, however
-    thin it is: parts that are the margin or more away before and after a look would have to move
+    The checks of a motion are so near that no part touches an obstacle between two of them, even a
+    thin one: parts that are the margin or more away before and after a look would have to move
     twice the margin (or `_FINEST`) to touch between. Parts of the arm are no plates: they are
     looked at every `_BETWEEN`.
 

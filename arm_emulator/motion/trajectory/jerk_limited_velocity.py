@@ -1,4 +1,4 @@
-"""Joints that take up speeds with limited accelerations and jerks, and stop before their limits."""
+"""Joints that reach speeds with limited accelerations and jerks, and stop before their limits."""
 
 from collections.abc import Callable
 from typing import Any

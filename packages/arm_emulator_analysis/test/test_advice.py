@@ -144,7 +144,7 @@ def test_the_stated_errors_hold_and_hardly_any_setting_is_cheaper(
     for verdict in verdicts:
         assert not verdict.none, verdict
         assert verdict.is_true, f"beyond what was reported: {verdict}"
-        # 1.3 is what is claimed where nobody disturbs the clock.
+        # 1.3 is the claim without a disturbance of the clock.
         assert verdict.cost < 2.0, f"dear: {verdict}"
 
 
@@ -158,7 +158,7 @@ def test_a_reserve_grows_where_a_motion_stands_out() -> None:
 
 @pytest.mark.slow
 def test_divergence_is_an_infinite_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Stiff undamped gears: `paper` diverges down to steps that nobody would choose."""
+    """Stiff undamped gears: `paper` diverges down to very small steps."""
     try_only(monkeypatch, "paper", "rosenbrock")
     gear = {"joints.*.gear.stiffness": 1e7, "joints.*.gear.damping": 0.0}
     # With the libraries of other machines that differ in numbers only.

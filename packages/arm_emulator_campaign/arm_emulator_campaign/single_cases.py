@@ -107,7 +107,7 @@ def find_case(definition: Campaign, into: Path, index: int, option: str) -> Case
 def record_case(
     simulator: Simulator, case: Case, outputs: RunOutputs, page: str | None = None
 ) -> None:
-    """Simulate a run for who records it, or looks at its page at a port."""
+    """Simulate a run for a recording, or for its page at a port."""
     pieces = simulator.drive_run(case)
     next(pieces)
     plant = simulator.session.plant
@@ -127,7 +127,7 @@ def record_case(
 
 
 def print_shrunk(definition: Campaign, case: Case, into: Path) -> int:
-    """Shrink a run that fails, write it, and print what is left of it."""
+    """Shrink a run that fails, write it, and print its remaining changes."""
     shrunk = shrink_run(definition, case)
     output.print_line(f"run {case.index} fails {shrunk.requirement} by {-shrunk.before:.6g}")
     for name, value in shrunk.changes.items():

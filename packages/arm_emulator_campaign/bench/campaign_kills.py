@@ -1,8 +1,8 @@
 """A campaign whose workers, scheduler and client are killed at random moments, here and on Dask.
 
 Each moment is a random time after a random part of the results, so that a busy machine moves it
-along with the parts. The last line counts those before, amid and after the parts. What was written
-must stay, nobody may stay behind, and the digest in the end must be the same.
+along with the parts. The last line counts those before, amid and after the parts. Written results
+must stay, no process may stay behind, and the final digest must be the same.
 """
 
 from __future__ import annotations
@@ -212,7 +212,7 @@ def list_parts(into: Path) -> set[Path]:
 
 
 def count_of_parts(file: Path, into: Path, place: Place) -> int:
-    """Return how many parts a campaign writes if nobody is killed."""
+    """Return how many parts a campaign writes if no process is killed."""
     start_campaign(file, into, place).communicate(timeout=LONGEST)
     return len(list_parts(into))
 

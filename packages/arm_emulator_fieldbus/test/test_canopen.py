@@ -315,7 +315,7 @@ def noise(draw: random.Random, numbers: Sequence[int]) -> CanFrame:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_random_frames_leave_sound_nodes(scene: Scene, seed: int) -> None:
-    """No frame breaks a node; what a server aborts, and what is for nobody, changes nothing."""
+    """No frame breaks a node; aborted requests and frames without a receiver change nothing."""
     segment, draw = segment_of(scene), random.Random(seed)
     numbers, looked = [1, 2, 3], 0
     for k in range(FRAMES // 4):

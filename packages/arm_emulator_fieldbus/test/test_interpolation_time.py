@@ -110,8 +110,8 @@ def test_the_interpolation_time_follows_sync0(master: Master, late: bool) -> Non
 def test_the_speed_of_cyclic_positions_is_even_at_a_slow_sync0(master: Master) -> None:
     """Targets of a constant speed every 8 ms: 0x606C is that speed, in every servo period.
 
-    A target reached in one period of 8 would be 8 times too fast in it. What remains is what the
-    observer makes of whole counts: 0.02, measured on the same motion with a target per period.
+    A target reached in one period of 8 would be 8 times too fast in it. The remaining ripple comes
+    from the observer of whole counts: 0.02, measured on the same motion with a target per period.
     """
     cycle, speed = 8, 16  # servo periods, counts per period
     for k in range(master.slaves):

@@ -81,7 +81,7 @@ def swings(torque: np.ndarray) -> float:
 
 
 def faults(scene: Scene, servo: ServoConfig) -> Iterator[str]:
-    """Report of every joint in every torque mode that does not do what was asked of it."""
+    """Report of every joint in every torque mode that does not reach its commanded torque."""
     for j, joint in enumerate(scene.joints):
         for braked in (False, True)[: 1 + (joint.brake is not None)]:
             for mode in (CYCLIC_TORQUE, PROFILE_TORQUE):

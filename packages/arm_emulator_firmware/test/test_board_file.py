@@ -1,4 +1,4 @@
-"""Board files of a microcontroller: every mistake is refused in one line, whatever it is."""
+"""Board files of a microcontroller: every mistake is refused in one line."""
 
 import copy
 import importlib.util

@@ -163,7 +163,7 @@ class CudaDevice(Device):
         where, limit = "Device.set_stack", DRIVER.get_constant("CU_LIMIT_STACK_SIZE")
         size = check_count(where, "size", size, 0, LARGEST_MEMORY)
         with self.enter_context():
-            # Others who share the context may need what it is now.
+            # Other users of the context may need its present value.
             before = self.driver.read_result("cuCtxGetLimit", "size_t *", limit)
             if size > before:
                 try:

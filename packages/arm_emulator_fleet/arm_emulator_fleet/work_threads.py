@@ -23,8 +23,8 @@ class WorkThreads:
     """Threads that share the work on arms, in whole groups of lanes.
 
     Whether sharing pays depends on the work and on what else the machine does, so it is measured:
-    work of about the same size goes the quicker way. The calling thread works along, and does all
-    by itself while no other one has woken up.
+    work of about the same size goes the quicker way. The calling thread works, too, and does all
+    the work until another thread has woken up.
 
     Attributes:
         workers: threads, the calling one among them.

@@ -1,4 +1,4 @@
-"""Arms in lanes: each moves as it would alone, whatever its neighbours do."""
+"""Arms in lanes: each moves as it would alone, for any motion of its neighbours."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path

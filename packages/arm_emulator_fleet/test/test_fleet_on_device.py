@@ -1,4 +1,4 @@
-"""A fleet on a device does what a fleet in lanes does, to the last bit, whatever it is asked."""
+"""A fleet on a device gives the results of a fleet in lanes, to the last bit, for all calls."""
 
 import gc
 from collections.abc import Callable, Iterator
@@ -91,7 +91,7 @@ def test_every_call_gives_the_bits_of_lanes(scene: Scene, seed: int) -> None:
 def test_every_call_of_a_fleet_of_a_card_gives_the_bits_of_lanes(
     located: Scene, fleet_cards: Stub, seed: int
 ) -> None:
-    """Arms stay within the memory that they got at first, whatever they do."""
+    """Arms stay within the memory of their start, in any motion."""
     walk(located, "gpu", seed)
 
 

@@ -1,4 +1,4 @@
-"""Arms stay in their lanes between calls, and nobody can see it; `step` is exchange and looks."""
+"""Arms stay in their lanes between calls, without visible effect; `step` is exchange and looks."""
 
 import contextlib
 import copy
@@ -40,7 +40,7 @@ def scene(request: pytest.FixtureRequest) -> Scene:
 
 
 def walk(fleet: Fleet, seed: int, calls: int) -> list[bytes]:
-    """Call whatever a fleet can be asked; return its state and what it measures after some."""
+    """Call every function of a fleet; return its state and what it measures after some."""
     rng = np.random.default_rng(seed)
     observed = []
     saved = fleet.save()
@@ -121,7 +121,7 @@ def test_a_step_is_an_exchange_and_a_look(scene: Scene) -> None:
 
 @pytest.mark.parametrize("device", [None, "processor"])
 def test_an_arm_that_has_diverged_measures_what_a_plant_does(device: str | None) -> None:
-    """Its drives bound their commands on, and its brake hears of them."""
+    """Its drives bound their commands on, and its brake receives them."""
     rng = np.random.default_rng(5)
     scene = load_scene("three_axis", overrides=LOCATED)
     wild, v = [1, COUNT - 1], np.zeros((COUNT, 3))

@@ -57,7 +57,7 @@ class FittedNumbers:
     Attributes:
         values, deviations: of the unknowns, by name.
         numbers: what the modifier makes of them, by the names of the scene's numbers.
-        errors: root mean square of what is left of each signal, by name.
+        errors: root mean square of each signal's residual, by name.
     """
 
     values: dict[str, float]

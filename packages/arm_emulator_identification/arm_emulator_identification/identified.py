@@ -93,7 +93,7 @@ def identify_numbers(
         nominal: the scene.
         record: as it was measured.
         request: what is sought.
-        stage: hears of each stage when it begins.
+        stage: is called with each stage when it begins.
 
     Raises:
         Refusal: the record is not one of this machine, or there is nothing to identify.

@@ -115,7 +115,7 @@ def test_parts_state_the_torque_that_the_core_gives(
 
 
 def test_every_part_states_its_torque_or_is_refused(tmp_path: Path) -> None:
-    """No part passes for one that takes nothing because nobody thought of it."""
+    """No part counts as one of zero effort because its effort was forgotten."""
     inherited = [
         part.__name__ for part in PARTS if part.compute_effort is Part.compute_effort
     ]  # fmt: skip

@@ -35,7 +35,7 @@ def main() -> None:
 
 
 def _show_all(end: RowEnd, ring: SharedRing, page: LivePage) -> None:
-    """Show rows until the run is over, whatever a browser has made of the controls."""
+    """Show rows until the run is over, in any state of a browser's controls."""
     reported = ""
     while not end.is_over(FRAME):
         page.take_rows(ring.take_rows(), ring.dropped)

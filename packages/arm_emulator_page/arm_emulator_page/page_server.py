@@ -35,7 +35,7 @@ class PageServer:
         import viser
 
         token = get_token()
-        # It prints addresses without the token, whatever it is asked.
+        # It prints addresses without the token, with any option.
         with guard_server(Guard(token, address)), contextlib.redirect_stdout(io.StringIO()):
             try:
                 self.server: Any = viser.ViserServer(address.host, address.port, verbose=False)

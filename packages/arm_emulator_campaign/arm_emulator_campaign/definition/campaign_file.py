@@ -128,7 +128,7 @@ def find_files(data: Mapping[str, Any], file: Path) -> dict[str, Path]:
 
 
 def _check_keys(data: Mapping[str, Any], where: str) -> None:
-    """Refuse keys of the file that nobody knows; sections are asked on their own."""
+    """Refuse unknown keys of the file; sections are asked on their own."""
     for key in data:
         if key not in KEYS:
             raise Refusal(where, f"key {key}", "be known", repr(key), ", ".join(KEYS))

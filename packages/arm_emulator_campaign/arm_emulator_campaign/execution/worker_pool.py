@@ -237,7 +237,7 @@ class WorkerPool:
 
 
 class Work:
-    """Work of a pool: where one of its processes is killed, others do what is left.
+    """Work of a pool: where one of its processes is killed, others do the remaining work.
 
     Use it as a context, at whose end the processes end.
 

@@ -138,7 +138,7 @@ class Results:
         return [part for part in files if self._is_sound(part)]
 
     def _is_sound(self, part: Path) -> bool:
-        """Return whether a part is what was written for this campaign; each is read once for it."""
+        """Return whether a part was written for this campaign; each is read once for it."""
         if part.name in self._sound:
             return True
         import pyarrow.parquet as pq

@@ -301,7 +301,7 @@ def test_targets_arrive_on_a_serial_line(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("free", [False, True])
 def test_systick_and_the_cycle_counter_agree(free: bool, tmp_path: Path) -> None:
-    """A sleeping processor wakes in the very cycle, whatever instructions take."""
+    """A sleeping processor wakes in the cycle of the event, with any duration of instructions."""
     rng = np.random.default_rng([15, free])
     load = int(rng.integers(10_000, 40_000))
     text = f"""
