@@ -343,7 +343,7 @@ MUTANTS = (
     Mutant(
         f"{CORE_PARTS}/drive_stages/winding.hpp",
         "f[rise] += resistance(z) * Motor::copper_loss(z);",
-        "f[rise] += resistance(z) * Motor::dissipated(z);",
+        "f[rise] += resistance(z) * Motor::dissipated_power(z);",
         "motors/test_winding.py motors/test_motor_faults.py",
     ),
     Mutant(
