@@ -177,9 +177,10 @@ install/.core: package.xml setup.py setup.cfg colcon.pkg $(SHARED) install/.mess
 
 # Holds the files of commands, each of which is installed by its name.
 COMMANDS := $(wildcard packages/*/*/commands/*.py)
-NEW_COMMANDS = $(filter-out $(shell cat install/.packages 2>/dev/null),$(COMMANDS))
+INSTALLED := $(shell cat install/.packages 2>/dev/null)
+CHANGED_COMMANDS := $(filter-out $(INSTALLED),$(COMMANDS))$(filter-out $(COMMANDS),$(INSTALLED))
 install/.packages: $(wildcard packages/*.py packages/*/setup.py packages/*/package.xml) $(call unlinked,$(BESIDE)) \
-                   $(if $(COPIED)$(NEW_COMMANDS),FORCE) | install/.core
+                   $(if $(COPIED)$(CHANGED_COMMANDS),FORCE) | install/.core
 	@echo 'setup: packages beside the core ...'
 	@$(call link,$(BESIDE))
 	@echo '$(COMMANDS)' > $@
