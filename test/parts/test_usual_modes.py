@@ -44,7 +44,7 @@ void ask(int joint, int open, int count, int* usual) {
         x->q = draw(1.0), x->v = draw(2.0), x->u = draw(24.0);
       }
       const decltype(drive.modes_at(end)) none = {};
-      const bool all = drive.modes_at(end) == none && drive.required(start, end, none) == none;
+      const bool all = drive.modes_at(end) == none && drive.required_mode(start, end, none) == none;
       usual[2] += all;
       if (!drive.is_regular(end)) continue;
       usual[0] += 1;

@@ -411,6 +411,8 @@ def test_a_compiler_ends_with_the_command_that_started_it(
     words = f'touch "$TMPDIR/cc.s"; echo $$ > {pid}.new; mv {pid}.new {pid}; sleep 100'
     monkeypatch.setenv("CXX", fake_compiler(tmp_path, words))
     command = [sys.executable, "-m", "arm_emulator", "compile", "three_axis"]
+    if signal.getsignal(number) is signal.SIG_IGN:  # by `nohup`, in all children as well
+        signal.signal(number, signal.SIG_DFL)
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         until = time.monotonic() + 60.0
         while not pid.exists() and time.monotonic() < until:
