@@ -8,27 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from arm_emulator.extension.base import (
-    KEEP_NOTHING,
-    Refusal,
-    RunOutputs,
-    check_count,
-)
-from arm_emulator.extension.commands import (
-    PageProcess,
-    output,
-    wait_for_ctrl_c,
-)
+from arm_emulator.extension.base import KEEP_NOTHING, Refusal, RunOutputs, check_count
+from arm_emulator.extension.commands import PageProcess, output, wait_for_ctrl_c
 from arm_emulator.extension.machine import Diverged
 from arm_emulator.extension.runs import Recorder
 from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.execution.splitter import read_failures
-from arm_emulator_campaign.results.parts import (
-    ABOUT,
-    INDEX,
-    Results,
-)
+from arm_emulator_campaign.results.parts import ABOUT, INDEX, Results
 from arm_emulator_campaign.simulation.batch_simulator import make_simulator
 from arm_emulator_campaign.simulation.case import Case, draw_case, make_case
 from arm_emulator_campaign.simulation.case_bag import write_case_bag

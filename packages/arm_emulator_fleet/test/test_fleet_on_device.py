@@ -16,9 +16,7 @@ from test_fleet_step import BRAKED, LOCATED
 from test_lanes import JOINTS
 
 from arm_emulator import ExternalWrench, Refusal, Scene, load_scene
-from arm_emulator.extension.machine import (
-    PowerChange,
-)
+from arm_emulator.extension.machine import PowerChange
 from arm_emulator_fleet import Fleet, open_device
 from arm_emulator_fleet.cuda_device import DRIVER, CudaDevice
 from arm_emulator_fleet.device_core import STACK_WITH_EVENTS

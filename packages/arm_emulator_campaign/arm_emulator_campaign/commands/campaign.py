@@ -15,19 +15,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.extension.base import (
-    KEEP_NOTHING,
-    Refusal,
-    check_count,
-    print_warnings,
-)
-from arm_emulator.extension.commands import (
-    Keep,
-    PageAt,
-    check_new_bag,
-    command,
-    output,
-)
+from arm_emulator.extension.base import KEEP_NOTHING, Refusal, check_count, print_warnings
+from arm_emulator.extension.commands import Keep, PageAt, check_new_bag, command, output
 from arm_emulator.extension.compiler import ARITHMETIC
 from arm_emulator_campaign.definition.campaign import Campaign
 from arm_emulator_campaign.definition.campaign_file import load_campaign
@@ -42,11 +31,7 @@ from arm_emulator_campaign.execution.worker_pool import (
     WorkerPool,
 )
 from arm_emulator_campaign.judging.evaluators import find_start_requirements
-from arm_emulator_campaign.results.parts import (
-    Results,
-    compute_digest,
-    list_column_units,
-)
+from arm_emulator_campaign.results.parts import Results, compute_digest, list_column_units
 from arm_emulator_campaign.results.report import write_report
 from arm_emulator_campaign.results.summary import Summary, compute_summary
 from arm_emulator_campaign.search.method import Finding

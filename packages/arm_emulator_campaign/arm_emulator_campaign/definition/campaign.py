@@ -10,22 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.extension.base import (
-    Array,
-    Refusal,
-    Section,
-)
+from arm_emulator.extension.base import Array, Refusal, Section
 from arm_emulator.extension.machine import Scene
-from arm_emulator.extension.runs import (
-    MotionConfig,
-    ServoConfig,
-)
+from arm_emulator.extension.runs import MotionConfig, ServoConfig
 from arm_emulator_campaign.definition.fault import Fault, list_faults
 from arm_emulator_campaign.definition.scenario import Scenario, read_scenario
 from arm_emulator_campaign.definition.servo_gains import change_gain
-from arm_emulator_campaign.definition.varying_numbers import (
-    VARYING_SECTIONS,
-)
+from arm_emulator_campaign.definition.varying_numbers import VARYING_SECTIONS
 from arm_emulator_campaign.sampling.intervals import bound_share
 from arm_emulator_campaign.sampling.variation import Variation
 from arm_emulator_campaign.search.method import Method

@@ -23,11 +23,7 @@ from arm_emulator.extension.base import (
     read_yaml,
 )
 from arm_emulator.extension.machine import LARGEST_SEED, Scene, load_scene
-from arm_emulator.extension.runs import (
-    check_fit,
-    load_motion_config,
-    load_servo_config,
-)
+from arm_emulator.extension.runs import check_fit, load_motion_config, load_servo_config
 from arm_emulator_campaign.definition.campaign import Campaign, Stop, read_kind
 from arm_emulator_campaign.definition.fault import Fault
 from arm_emulator_campaign.definition.servo_gains import change_gains
